@@ -2,6 +2,7 @@
 // Sums are whole numbers of 1/64 keV (or photons), rounded at random: they do not depend on the order in which they are added.
 
 // #include shared/philox.wgsl
+// #include shared/chords.wgsl
 // #include transport/data.wgsl
 // #include transport/random.wgsl
 // #include transport/beam.wgsl

@@ -1,5 +1,6 @@
 // Area density of each material along each ray, later objects displacing earlier ones (Eq. 1, 5).
 // #include shared/view.wgsl
+// #include shared/chords.wgsl
 // #include shared/solid.wgsl
 // #include shared/intervals.wgsl
 // #include shared/mesh.wgsl

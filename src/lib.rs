@@ -7,6 +7,7 @@ pub mod units;
 pub mod time;
 pub mod random;
 pub mod memory;
+pub mod regular;
 pub mod json;
 pub mod table;
 pub mod image;

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use serde_json::json;
+use sidecarm::image::{Image, write_tiff_f32};
 
 use crate::acquire_foreign::{assert_one_sentence, scene_of, write_beads};
 use crate::live_lab::{HANG_S, eventually};
@@ -78,4 +79,58 @@ fn commands_do_not_wait_for_pipes_and_devices() {
         }
     }
     assert_eq!(cases, 26);
+}
+
+/// Commands that read `name`, which may be of any size: as a DRR, as a log, as one of two logs of which each counts once, as the maps of a
+/// panel, and as what an interrupted training left.
+fn readers_of_large_files(name: &str) -> Vec<Vec<&str>> {
+    let mut commands = vec![
+        vec!["compare", "frame.tif", name, "--quantity", "line_integral", "--out", "compared"],
+        vec!["compare", "frame.tif", "frame.tif", "--quantity", "line_integral", "--detector", "panel.json", "--out", "compared"],
+        vec!["replay", name, "--out", "again"],
+        vec!["log", "info", name],
+        vec!["log", "verify", name],
+        vec!["log", "merge", name, "frame.tif", "--out", "joined.mcap"],
+        vec!["attach", name, "frame.tif"],
+    ];
+    if cfg!(feature = "learn") {
+        commands.push(vec!["train", "scatter", "set", "--out", name, "--resume"]);
+    }
+    commands
+}
+
+/// `compare` waited for a DRR that was a pipe for ever, and so did all that reads logs, maps and checkpoints.
+#[test]
+fn large_files_that_are_pipes_and_devices_are_not_opened() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name);
+    let picture = Image { width: 8, height: 8, pixels: (0..64u8).map(|n| 0.01 * f32::from(n)).collect() };
+    write_tiff_f32(&at("frame.tif"), &[picture]).expect("written");
+    std::fs::write(at("frame.tif.json"), r#"{"quantity": "line_integral", "unit": "neper"}"#).expect("beside");
+    let mut cases = 0;
+    for (name, words) in [("pipe", "a named pipe"), ("zero", "a device"), ("plain", "")] {
+        let maps = json!({"file": name, "sha256": "0", "pages": []});
+        let panel = json!({"origin": "made up", "columns_px": 8, "rows_px": 8, "maps": maps});
+        std::fs::write(at("panel.json"), panel.to_string()).expect("written");
+        for file in [name.to_owned(), format!("{name}.checkpoint")] {
+            match name {
+                "pipe" => assert!(Command::new("mkfifo").arg(at(&file)).status().expect("mkfifo").success()),
+                "zero" => std::os::unix::fs::symlink("/dev/zero", at(&file)).expect("link"),
+                _ => std::fs::write(at(&file), "neither log nor picture").expect("written"),
+            }
+        }
+        for args in readers_of_large_files(name) {
+            let output = unless_it_hangs(folder.path(), &args);
+            if words.is_empty() {
+                // The control: it is opened, and what is wrong is its content.
+                let stderr = String::from_utf8_lossy(&output.stderr);
+                assert!(output.status.code() == Some(1) && !stderr.contains("it was not opened"), "{args:?}: {stderr}");
+            } else {
+                let file = if args[0] == "train" { format!("{name}.checkpoint") } else { name.to_owned() };
+                assert_one_sentence(name, &output, &format!("{file}: it is {words}, expected a file; it was not opened"));
+            }
+            cases += 1;
+        }
+    }
+    assert!(cases >= 3 * 7);
 }

@@ -81,7 +81,10 @@ fn record(path: &Path, shown: &[Shown], clock: bool) -> Vec<(u32, u32)> {
 }
 
 fn grab(video: &Path, into: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("grab").arg(video).arg("--into").arg(into).args(more).output().expect("runs")
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    // OpenCV's words go to standard output then: none of them may come among the pictures.
+    command.env("OPENCV_LOG_LEVEL", "INFO");
+    command.arg("grab").arg(video).arg("--into").arg(into).args(more).output().expect("runs")
 }
 
 /// The frames of a folder in the order of their names, by the time at which they began to stand.
@@ -206,4 +209,62 @@ fn what_gives_no_frame_is_one_sentence() {
         assert!(said(video, more).contains(words), "{video} {more:?}: {}", said(video, more));
     }
     assert_eq!(std::fs::read_dir(&into).expect("listed").count(), 0);
+}
+
+/// Each start of the program would wait for 250 libraries.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_program_itself_brings_no_library_of_videos() {
+    let names = |program: &str| {
+        let bytes = std::fs::read(program).expect("a program");
+        bytes.windows(17).any(|part| part == b"libopencv_videoio")
+    };
+    assert!(!names(env!("CARGO_BIN_EXE_sidecarm")));
+    assert!(names(env!("CARGO_BIN_EXE_sidecarm-video")), "the control");
+}
+
+/// Beside the program lies another that reads video, or none: said, and with what to do.
+#[cfg(unix)]
+#[test]
+fn a_reader_of_videos_that_dies_or_is_not_there_is_said() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
+    let program = folder.path().join("sidecarm");
+    std::fs::hard_link(env!("CARGO_BIN_EXE_sidecarm"), &program).expect("linked");
+    let into = folder.path().join("frames");
+    std::fs::create_dir(&into).expect("a folder");
+    let said = || {
+        let ran = Command::new(&program).args(["grab", "a.avi", "--into"]).arg(&into).output().expect("runs");
+        let words = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert!(ran.status.code() == Some(1) && !words.contains("panicked"), "{words}");
+        words
+    };
+    let words = said();
+    assert!(words.contains("sidecarm-video") && words.contains("cargo build"), "{words}");
+    let reader = folder.path().join("sidecarm-video");
+    let nothing = "\\000".repeat(8);
+    for (picture, expected) in [("\\012\\000", "has ended in the middle"), (nothing.as_str(), "its pictures have 0 x 0 pixels")] {
+        // Open, not live, 25 pictures a second; then half a picture, or an empty one.
+        std::fs::write(&reader, format!("#!/bin/sh\nprintf 'O{nothing}\\071\\100P{picture}'\n")).expect("written");
+        std::fs::set_permissions(&reader, std::fs::Permissions::from_mode(0o755)).expect("may run");
+        let words = said();
+        assert!(words.contains(expected), "{words}");
+    }
+}
+
+/// Whatever its driver hangs in, as here in a pipe that nobody opens.
+#[cfg(unix)]
+#[test]
+fn a_reader_of_videos_ends_with_whoever_started_it() {
+    use crate::live_lab::{HANG_S, Running};
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("monitor.y4m");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm-video"));
+    command.arg(&pipe).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut reader = Running(command.spawn().expect("starts"));
+    assert!(reader.end(0.5).is_none(), "the control: it waits");
+    drop(reader.0.stdin.take());
+    assert!(reader.end(HANG_S).is_some(), "it goes on");
 }

@@ -235,6 +235,27 @@ fn versions_renamed_into_place_one_after_the_other_are_all_read() {
     assert_eq!(watched.frames.len(), 3, "{:?} {:?}", watched.frames, watched.troubles);
 }
 
+/// A writer gives each file its name when it is whole: nothing vanishes with the name before.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_that_is_renamed_at_once_has_not_vanished() {
+    let mut watched = Watched::new(true);
+    watched.settle();
+    for index in 0..100u16 {
+        let name = format!("frame-{index:03}.dcm");
+        let writing = watched.path(&format!("{name}.writing"));
+        std::fs::write(&writing, frame_bytes(index)).expect("written");
+        std::fs::rename(writing, watched.path(&name)).expect("renamed");
+    }
+    // Time for the system's notices; the folder itself is not looked at.
+    std::thread::sleep(std::time::Duration::from_millis(200));
+    watched.settle();
+    // Renaming touches a file: one that was read before is looked at again, and is the same.
+    let is_same = watched.other.iter().all(|other| other == "same");
+    assert!(watched.troubles.is_empty() && is_same, "{:?} {:?}", watched.troubles, watched.other);
+    assert_eq!(watched.frames.len(), 100, "each once");
+}
+
 /// Frames deleted within 300 ms: 23 of 30 were gone without an event.
 #[cfg(target_os = "linux")]
 #[test]

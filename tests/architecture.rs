@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 31] = [
+const ORDER: [&str; 32] = [
     "units",
     "time",
     "random",
     "memory",
+    "regular",
     "json",
     "table",
     "image",
@@ -96,7 +97,7 @@ fn modules_use_only_modules_before_them() {
         let relative = file.strip_prefix(&root).expect("below src");
         let first = relative.components().next().expect("has a name").as_os_str().to_string_lossy().into_owned();
         let module = first.trim_end_matches(".rs");
-        if matches!(module, "lib" | "main") {
+        if matches!(module, "lib" | "main" | "video_main") {
             continue;
         }
         assert!(rank(module).is_some(), "src/{module} is not in the order of DESIGN §2");
@@ -125,6 +126,49 @@ fn a_backward_arrow_is_found() {
     assert_eq!(violations("geometry", "use crate::{time::now, render::{Plan, Pass}};"), ["render"]);
     assert_eq!(violations("geometry", "crate::viewer::show()"), ["viewer"]);
     assert!(violations("cli", "use crate::render::Plan;").is_empty());
+}
+
+/// What opens a file whatever it is, and waits for ever where that is a pipe.
+const OPENINGS: [&str; 7] = [
+    "File::open(",
+    "fs::read(",
+    "fs::read_to_string(",
+    "ImageReader::open(",
+    ".from_path(",
+    "File::options(",
+    "OpenOptions::new(",
+];
+/// Where one stands for a reason.
+const OPENS: [(&str, &str); 5] = [
+    ("regular.rs", "asks first what it is"),
+    ("memory.rs", "the system's own figures"),
+    ("cli/devices.rs", "the system's own figures"),
+    ("cli/time.rs", "the system's own figures"),
+    ("record/recorder.rs", "makes a log, and reads none"),
+];
+
+/// What of `text`, tests left out, opens a file whatever it is.
+fn openings(text: &str) -> Vec<&'static str> {
+    let code = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+    OPENINGS.into_iter().filter(|opening| code.contains(opening)).collect()
+}
+
+#[test]
+fn files_are_opened_where_it_is_asked_what_they_are() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let (mut files, mut known) = (Vec::new(), 0);
+    rust_files(&root, &mut files);
+    for file in &files {
+        let found = openings(&std::fs::read_to_string(file).expect("source is text"));
+        let name = file.strip_prefix(&root).expect("below src").to_string_lossy().replace('\\', "/");
+        let is_known = OPENS.iter().any(|(of, _)| *of == name);
+        assert!(found.is_empty() || is_known, "{name}: {found:?}: open it with crate::regular");
+        known += usize::from(is_known && !found.is_empty());
+    }
+    assert_eq!(known, OPENS.len(), "an exception that is none any more");
+    // The control, and what tests open.
+    assert_eq!(openings("let text = std::fs::read(path)?;"), ["fs::read("]);
+    assert!(openings("regular::read(path);\n#[cfg(test)]\nmod tests { std::fs::read(path) }").is_empty());
 }
 
 /// Why a test is ignored names the command of `scripts/evaluate` that runs it, and that command runs it.

@@ -140,7 +140,7 @@ fn names_that_are_none_for_a_tiff_are_a_usage_error() {
 fn a_focal_spot_within_the_ct_is_said() {
     let folder = folder();
     let words = "warning: the focal spot lies within objects[1].ct";
-    for (depth_mm, is_within) in [(600.0, false), (4.0, false), (2.0, true), (0.6, true)] {
+    for (depth_mm, is_within) in [(4.0, false), (2.0, true)] {
         let ran = render(folder.path(), &changed("/view/camera_from_lps/2/3", json!(depth_mm)), "drr.tif", &[]);
         assert_eq!(ran.code, Some(0), "{}", ran.stderr);
         assert_eq!(ran.stderr.matches(words).count(), usize::from(is_within), "{depth_mm} mm: {}", ran.stderr);
@@ -274,7 +274,7 @@ fn projections_that_are_no_camera() {
     let folder = folder();
     let good = [[500.0, 0.0, 7.5, 4500.0], [0.0, 500.0, 5.5, 3300.0], [0.0, 0.0, 1.0, 600.0]];
     let with = |rows: Value| changed("/view", json!({"size_px": [16, 12], "projection": rows}));
-    for scale in [1.0, -1.0, 1e200, 1e-200] {
+    for scale in [-1.0, 1e200] {
         let ran = render(folder.path(), &with(json!(good.map(|row| row.map(|x| x * scale)))), "drr.tif", &[]);
         assert_eq!((ran.code, ran.stderr.as_str()), (Some(0), ""), "{scale}: the scale of P is free");
         ["drr.tif", "drr.tif.json"].iter().for_each(|name| std::fs::remove_file(folder.path().join(name)).expect("was made"));

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use sidecarm::beads::DEFAULT_SIGMA_MM;
 use sidecarm::calibrate::carm::{CarmFit, CarmFitError, CarmReport, Sensors, Shot, ShotBead, calibrate};
 use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid};
 use sidecarm::random::{Purpose, Stream};
@@ -70,7 +71,13 @@ impl Lab {
             let bead = |(b, at): (usize, &V)| {
                 let [u, v] = posture.shadow(bed.room_from_lps(*at), arm);
                 let image_px = DVec2::new(u + BEAD_NOISE_PX * random.normal(), v + BEAD_NOISE_PX * random.normal());
-                ShotBead { name: format!("bead-{b:02}"), lps_mm: DVec3::from_array(*at), image_px, sigma_px: BEAD_NOISE_PX }
+                ShotBead {
+                    name: format!("bead-{b:02}"),
+                    lps_mm: DVec3::from_array(*at),
+                    image_px,
+                    noise_px2: [BEAD_NOISE_PX.powi(2), 0.0, BEAD_NOISE_PX.powi(2)],
+                    place_mm2: DMat3::from_diagonal(DVec3::splat(DEFAULT_SIGMA_MM.powi(2))),
+                }
             };
             let beads = beads.iter().enumerate().map(bead).collect();
             let joints = self.read(&mut random, joints);
@@ -246,7 +253,7 @@ fn a_shot_with_the_joints_of_another_moment_is_named() {
 pub fn pose_of(shot: &Shot) -> serde_json::Value {
     let bead = |bead: &ShotBead| {
         serde_json::json!({"name": bead.name, "body": "specimen", "lps_mm": bead.lps_mm.to_array(), "image_px": bead.image_px.to_array(),
-            "predicted_px": null, "residual_px": null, "sigma_px": bead.sigma_px, "left_out_px": null, "used": true, "reason": null})
+            "predicted_px": null, "residual_px": null, "sigma_px": bead.noise_px2[0].sqrt(), "left_out_px": null, "used": true, "reason": null})
     };
     let beads: Vec<_> = shot.beads.iter().map(bead).collect();
     serde_json::json!({"status": "accepted", "size_px": shot.size_px, "beads": beads,

@@ -145,7 +145,7 @@ fn a_shot_of_a_console_is_in_the_panel_s_pixels() {
     for (row, bead) in value["beads"].as_array_mut().expect("a list").iter_mut().zip(&shot.beads) {
         let binned = 0.5 * (bead.image_px + 0.5) - 0.5;
         row["image_px"] = json!((turn.rotate(binned - middle) + middle).to_array());
-        row["sigma_px"] = json!(0.5 * bead.sigma_px);
+        row["sigma_px"] = json!(0.5 * bead.noise_px2[0].sqrt());
     }
     value["size_px"] = json!([768, 768]);
     value["console"] = json!({"rotation_deg": 13.0, "binning": 2});
@@ -158,7 +158,7 @@ fn a_shot_of_a_console_is_in_the_panel_s_pixels() {
     assert_eq!((found.size_px, found.camera_from_lps), ([1536, 1536], read(&pose_of(shot)).camera_from_lps.expect("there")));
     for (found, truth) in found.beads.iter().zip(&shot.beads) {
         assert!(found.image_px.distance(truth.image_px) < 1e-9, "{found:?} {truth:?}");
-        assert!((found.sigma_px - truth.sigma_px).abs() < 1e-12);
+        assert!(found.noise_px2.iter().zip(truth.noise_px2).all(|(found, truth)| (found - truth).abs() < 1e-12));
     }
     assert_eq!(found.beads.len(), shot.beads.len());
 }

@@ -7,11 +7,12 @@ use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 use sidecarm::calibrate::robot::RobotReport;
 use sidecarm::geometry::{Rigid, RobotCalibration};
+use sidecarm::pose::Pose;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{SceneError, load, load_text};
 
 use crate::robot_lab::{SIX, write};
-use crate::session_demo::mock_is_built;
+use crate::session_demo::demo;
 
 fn calibrate(shots: &[PathBuf], more: &[&str], out: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
@@ -45,9 +46,16 @@ fn the_command_writes_a_calibration_that_a_scene_takes() {
     assert!(over.status.code() == Some(1) && said(&over).contains("frame-1.tif"), "{}", said(&over));
     assert!(!out.exists(), "nothing half-written");
 
+    // A pose that may be another one makes a shot all the same: that is said, and stands with the shot.
+    let doubted = Pose { doubt: Some("two shadows run into one".to_owned()), ..drawn.poses[2].clone() };
+    doubted.write(&paths[2]).expect("written");
     let done = calibrate(&paths, &more, &out);
     assert_eq!(done.status.code(), Some(0), "{}", said(&done));
+    let warned = said(&done).matches("pose-2 is a shot, but its pose is in doubt: two shadows run into one").count();
+    assert!(warned == 1 && said(&done).matches("in doubt").count() == 1, "{}", said(&done));
     let report: RobotReport = serde_json::from_slice(&done.stdout).expect("the report");
+    let in_doubt: Vec<bool> = report.shots.iter().map(|shot| shot.doubt.as_ref() == doubted.doubt.as_ref()).collect();
+    assert_eq!(in_doubt, [false, false, true, false, false, false], "{report:?}");
     assert_eq!(std::fs::read(folder.path().join("robot-lab.report.json")).expect("beside it"), done.stdout);
     assert!(std::fs::read_to_string(folder.path().join("robot-lab.svg")).expect("plot").starts_with("<svg"));
     assert!(report.shots.len() == 6 && report.undetermined_offsets.is_empty(), "{report:?}");
@@ -124,14 +132,8 @@ fn a_tracked_base_is_calibrated_against_its_marker() {
 /// The mocked laboratory draws its frames by a physics of its own; the log of a session there has poses, angles and frames.
 #[test]
 fn a_session_s_log_calibrates_the_robot_that_was_in_it() {
-    if !mock_is_built() {
-        return;
-    }
+    let Some((lab, _)) = demo() else { return };
     let folder = tempfile::tempdir().expect("scratch");
-    let lab = folder.path().join("lab");
-    let mut demo = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    let run = demo.args(["demo", "--headless", "--seconds", "10", "--out"]).arg(&lab).output().expect("the program starts");
-    assert!(run.status.success(), "{}", said(&run));
     let kit = lab.join("scene.json");
     let mut value: Value = serde_json::from_slice(&std::fs::read(&kit).expect("the kit's scene")).expect("JSON");
     let truth = load(&kit, false, &Reporter::silent()).expect("a scene").robot.expect("a robot").lps_from_base;

@@ -9,6 +9,7 @@ use sidecarm::compare::bead_marks;
 use sidecarm::geometry::{Projection, View};
 use sidecarm::image::Image;
 use sidecarm::mask::discs;
+use sidecarm::pose::{Refusal, Registration};
 use sidecarm::record::{read_log, topic};
 
 use crate::live_lab::{HANG_S, Lab, Live};
@@ -136,7 +137,8 @@ fn share_of_beads(lab: &Lab, pose: &Value, [columns, rows]: [usize; 2], radius_m
     let (intrinsics, camera_from_lps) = projection.decompose().expect("a camera");
     let view = View { size_px: [columns as u32, rows as u32], intrinsics, camera_from_lps };
     let layout = read_markups(&lab.kit.join("beads.mrk.json")).expect("beads");
-    let marks = bead_marks(layout.beads.iter().map(|bead| (bead.lps_mm, Some(radius_mm))), &view, None);
+    let listed = Registration::new(view.size_px, &layout).refuse(&Refusal::Fault { detail: "not looked for".to_owned() });
+    let marks = bead_marks(&listed, &view, None, |_| Some(radius_mm));
     let mask = discs(columns, rows, &marks);
     mask.pixels.iter().filter(|masked| **masked).count() as f64 / mask.pixels.len() as f64
 }

@@ -16,13 +16,15 @@ use sidecarm::render::{Goal, Options, Quantity, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{self, Scene};
 
+use crate::live_lab::drawn;
 use crate::session_demo::mock_is_built;
 
-/// The kit of the mocked laboratory, with its frames.
-pub fn kit(folder: &Path) -> PathBuf {
+/// The kit of the mocked laboratory, with its frames, as `more` asks for it.
+pub fn kit(folder: &Path, more: &[&str]) -> PathBuf {
     let lab = folder.join("lab");
     let program = Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX));
-    let run = Command::new(program).arg("--out").arg(&lab).arg("--kit-only").output().expect("mock-lab starts");
+    let run = Command::new(program).arg("--out").arg(&lab).arg("--drawn").arg(drawn()).arg("--kit-only").args(more).output();
+    let run = run.expect("mock-lab starts");
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     lab
 }
@@ -126,10 +128,11 @@ fn right_poses_are_not_doubted_and_wrong_ones_are() {
         return;
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let (mut lab, frames) = open(&kit(folder.path()));
+    let (mut lab, frames) = open(&kit(folder.path(), &[]));
     let centre = frames[0].centre;
     let mut doubted = Vec::new();
-    for known in &frames {
+    // Every other one, the collimated one among them; `scripts/evaluate doubt` takes all.
+    for known in frames.iter().step_by(2) {
         doubted.extend(lab.prefers(known, known.view.camera_from_lps).map(|found| format!("{}: {found}", known.frame.name)));
     }
     assert!(doubted.is_empty(), "{doubted:#?}");
@@ -243,7 +246,7 @@ fn count(lab: &mut Lab, frames: &[Known], first_seed: usize) {
 #[ignore = "minutes long: scripts/evaluate doubt runs it"]
 fn figures_of_the_mocked_laboratory() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let (mut lab, frames) = open(&kit(folder.path()));
+    let (mut lab, frames) = open(&kit(folder.path(), &[]));
     count(&mut lab, &frames, number("SIDECARM_SEED", 0));
 }
 

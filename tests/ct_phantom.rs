@@ -117,30 +117,30 @@ impl Phantom {
     /// Any body inside a box, of `contrast_hu` above what is there.
     pub fn body(&mut self, low: DVec3, high: DVec3, contrast_hu: f64, is_in: impl Fn(DVec3) -> bool) {
         const STEP: f64 = 0.3;
-        let inside = self.inside(3);
-        let scale = contrast_hu * STEP.powi(3) / (std::f64::consts::TAU.sqrt() * self.blur_mm).powi(3) / inside.len() as f64;
+        let scale = contrast_hu * STEP.powi(3) / (std::f64::consts::TAU.sqrt() * self.blur_mm).powi(3);
         let cloud: Vec<DVec3> = lattice(low, high, STEP).filter(|p| is_in(*p)).collect();
         let voxel_from_lps = self.lps_from_voxel.inverse();
+        let sides_mm = [0, 1, 2].map(|axis| self.lps_from_voxel.matrix3.col(axis).length());
         let reach = 4.0 * self.blur_mm + 1.5;
-        let rows = voxel_from_lps.matrix3.transpose();
-        let half = [rows.x_axis, rows.y_axis, rows.z_axis].map(|row| (row.length() * reach).ceil() as i64);
         for point in cloud {
-            let at = voxel_from_lps.transform_point3(point).round();
-            let near = |axis: usize| {
-                let middle = at[axis] as i64;
-                (middle - half[axis]).max(0)..(middle + half[axis] + 1).min(self.size[axis] as i64)
+            let at = voxel_from_lps.transform_point3(point);
+            // The Gaussian and a voxel's inside are products of what they are along its sides.
+            let along = |axis: usize| {
+                let half = (reach / sides_mm[axis]).ceil();
+                let [from, to] =
+                    [-half, half + 1.0].map(|off| (at[axis].round() + off).clamp(0.0, self.size[axis] as f64) as usize);
+                let gauss = |voxels: f64| (-0.5 * (voxels * sides_mm[axis] / self.blur_mm).powi(2)).exp();
+                let mean = |n: usize| {
+                    let away = n as f64 - at[axis];
+                    (gauss(away - 1.0 / 3.0) + gauss(away) + gauss(away + 1.0 / 3.0)) / 3.0
+                };
+                (from..to).map(|n| (n, mean(n))).collect::<Vec<(usize, f64)>>()
             };
-            for k in near(2) {
-                for j in near(1) {
-                    for i in near(0) {
-                        let index = i as usize + self.size[0] * (j as usize + self.size[1] * k as usize);
-                        let away = self.lps_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)) - point;
-                        if away.length_squared() < reach * reach {
-                            let sum = inside
-                                .iter()
-                                .map(|o| (-0.5 * (away + *o).length_squared() / (self.blur_mm * self.blur_mm)).exp());
-                            self.hu[index] += scale * sum.sum::<f64>();
-                        }
+            let [across, down, through] = [0, 1, 2].map(along);
+            for (k, by_k) in &through {
+                for (j, by_j) in &down {
+                    for (i, by_i) in &across {
+                        self.hu[i + self.size[0] * (j + self.size[1] * k)] += scale * by_i * by_j * by_k;
                     }
                 }
             }

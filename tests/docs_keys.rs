@@ -9,7 +9,7 @@ use crate::architecture::rust_files;
 const ALL: &[&str] = &[];
 
 /// Sources, and the heading under which the keys of their types stand. No names: every type that refuses unknown keys.
-const DESCRIBED: [(&str, &[&str], &str); 41] = [
+const DESCRIBED: [(&str, &[&str], &str); 42] = [
     ("src/session/file.rs", &[], "Session"),
     ("src/session/servers.rs", &[], "Session"),
     ("src/acquire/video/settings.rs", &[], "Session"),
@@ -23,6 +23,7 @@ const DESCRIBED: [(&str, &[&str], &str); 41] = [
     ("src/pose/record.rs", &[], "Pose"),
     ("src/pose/hand_marks.rs", &[], "Pose"),
     ("src/session/edit.rs", &[], "The log"),
+    ("src/pose/explained.rs", &[], "Pose"),
     ("src/pose/residual.rs", &[], "Pose"),
     ("src/pose/unseen.rs", &[], "Pose"),
     ("src/pose/together/record.rs", &[], "Poses of several views"),
@@ -54,7 +55,7 @@ const DESCRIBED: [(&str, &[&str], &str); 41] = [
 ];
 
 /// Calibrations, their reports and networks: every type that refuses unknown keys.
-const CALIBRATIONS: [(&str, &str); 14] = [
+const CALIBRATIONS: [(&str, &str); 15] = [
     ("src/geometry/carm.rs", "C-arm calibration"),
     ("src/geometry/sag.rs", "C-arm calibration"),
     ("src/calibrate/carm/report.rs", "C-arm calibration"),
@@ -65,6 +66,7 @@ const CALIBRATIONS: [(&str, &str); 14] = [
     ("src/calibrate/robot/tips.rs", "Robot model and calibration"),
     ("src/geometry/intensifier.rs", "Image intensifier"),
     ("src/acquire/detector_record.rs", "Detector"),
+    ("src/acquire/added_filter.rs", "Detector"),
     ("src/scene/density.rs", "Density curve"),
     ("src/calibrate/phantom/report.rs", "Bead layout that was measured"),
     ("src/infer/card.rs", "Networks"),
@@ -87,9 +89,10 @@ const INTERNAL: [(&str, &str); 11] = [
 ];
 
 /// Files that are put together key by key: source, function, heading.
-const ASSEMBLED: [(&str, &str, &str); 3] = [
+const ASSEMBLED: [(&str, &str, &str); 4] = [
     ("src/render/write.rs", "fn description(", "IMAGE.tif.json"),
     ("src/transport/image.rs", "fn describe(", "IMAGE.tif.json"),
+    ("src/transport/dose.rs", "fn describe(", "IMAGE.tif.json"),
     ("src/cli/compare.rs", "let result = serde_json::json!(", "compare.json"),
 ];
 

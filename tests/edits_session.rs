@@ -41,8 +41,12 @@ struct Edited {
 }
 
 impl Edited {
-    fn begin() -> Option<Self> {
-        let lab = Lab::start(&["--duration-s", "600", "--faults", "none", "--exposures", "1"])?;
+    /// A lab whose one exposure comes after three seconds.
+    fn lab() -> Option<Lab> {
+        Lab::start(&["--duration-s", "40", "--faults", "none", "--exposures", "1", "--idle-s", "600"])
+    }
+
+    fn begin(lab: Lab) -> Self {
         let folder = lab.kit.parent().expect("a folder").join("session");
         let setup = Setup::load(&lab.kit.join("session.json")).expect("the session file");
         let (board, stop) = (Board::default(), Stop::default());
@@ -52,7 +56,7 @@ impl Edited {
             LiveOptions { out: folder.clone(), stop: stop.clone(), seconds: None, include_existing: true, sound: false };
         let of_session = board.clone();
         let session = std::thread::spawn(move || run(setup, &options, Some(edits), &of_session, &Reporter::silent()));
-        Some(Self { lab, folder, board, stop, requests, session })
+        Self { lab, folder, board, stop, requests, session }
     }
 
     fn ask(&self, edit: BeadEdit) {
@@ -92,7 +96,8 @@ fn seen(board: &Board, development: u32, with_drr: bool) -> Arc<PairView> {
 
 #[test]
 fn edits_change_the_pose_undo_restores_it_and_a_replay_makes_them_again() {
-    let Some(edited) = Edited::begin() else { return };
+    let Some(lab) = Edited::lab() else { return };
+    let edited = Edited::begin(lab.without_ct());
     let board = &edited.board;
     let first = seen(board, 0, true);
     assert!(first.pose.is_accepted() && first.pair.edited.is_none(), "{:?}", first.pair.reason);
@@ -181,7 +186,8 @@ fn edits_change_the_pose_undo_restores_it_and_a_replay_makes_them_again() {
 #[test]
 #[ignore = "on a machine that does nothing else: scripts/evaluate pairs runs it"]
 fn an_edit_is_solved_while_a_hand_waits() {
-    let Some(edited) = Edited::begin() else { return };
+    let Some(lab) = Edited::lab() else { return };
+    let edited = Edited::begin(lab);
     let mut before = seen(&edited.board, 0, true);
     let (bead, at) = used(&before).into_iter().next().expect("a bead");
     let mut waited_ms = Vec::new();

@@ -142,7 +142,7 @@ fn check_reads_the_newest_frame_as_the_session_says() {
         return;
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let lab = kit(folder.path());
+    let lab = kit(folder.path(), &["--exposures", "1"]);
     let frame = lab.join("frames/frame-001.png");
     let gray = image::ImageBuffer::from_fn(620, 480, |u, v| image::Luma([20_000 + ((u * v) % 999) as u16]));
     gray.save(&frame).expect("written");

@@ -1,14 +1,15 @@
 //! A session heard by pyigtl, the client that laboratories have: what it understands is what stands in the log and in the session's folder.
 #![cfg(unix)]
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 use sidecarm::image::read_tiff_f32;
 
-use crate::igtl_session::{address, poses};
-use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
+use crate::igtl_session::{heard, poses};
+use crate::live_lab::Running;
 
 /// Prints every message that pyigtl gives, a line each, until the other side closes or the time is over.
 const LISTEN: &str = r#"
@@ -41,39 +42,60 @@ fn peers() -> Option<PathBuf> {
     there.then_some(folder)
 }
 
-#[test]
-fn pyigtl_understands_a_session() {
-    let Some(peers) = peers() else { return };
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none"]) else { return };
-    let session = lab.session("heard.json", |session| session["igtl"] = json!({ "port": 0 }));
-    let out = lab.kit.join("heard");
-    let mut live = Live::launch(&session, &out, &[]);
-    let address = eventually(HANG_S, || address(&live.stderr())).expect("it says where it listens");
-    let heard_at = lab.kit.join("heard.jsonl");
-    let mut python = Command::new("/usr/bin/python3");
-    python.args(["-c", LISTEN, &address.ip().to_string(), &address.port().to_string(), "390"]).env("PYTHONPATH", &peers);
-    let to = |name: &Path| Stdio::from(std::fs::File::create(name).expect("a file"));
-    let wrong_at = lab.kit.join("heard.txt");
-    let mut python = python.stdout(to(&heard_at)).stderr(to(&wrong_at)).spawn().expect("Python starts");
-    let heard = || -> Vec<Value> {
-        let text = std::fs::read_to_string(&heard_at).unwrap_or_default();
+/// pyigtl in a process of its own.
+pub struct Peer {
+    python: Running,
+    /// What it prints, and what it complains of.
+    files: [PathBuf; 2],
+}
+
+impl Peer {
+    /// Begins to listen, with its files in `folder`; `None` (said) where it is not there.
+    pub fn start(folder: &Path, address: SocketAddr) -> Option<Self> {
+        let peers = peers()?;
+        let files = ["heard.jsonl", "heard.txt"].map(|name| folder.join(name));
+        let [out, complaints] = [0, 1].map(|at| Stdio::from(std::fs::File::create(&files[at]).expect("a file")));
+        let mut python = Command::new("/usr/bin/python3");
+        python.args(["-c", LISTEN, &address.ip().to_string(), &address.port().to_string(), "390"]).env("PYTHONPATH", &peers);
+        let python = Running(python.stdout(out).stderr(complaints).spawn().expect("Python starts"));
+        Some(Self { python, files })
+    }
+
+    fn heard(&self) -> Vec<Value> {
+        let text = std::fs::read_to_string(&self.files[0]).unwrap_or_default();
         let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
         whole.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
-    };
-    let of = |device: &str| -> Vec<Value> { heard().into_iter().filter(|row| row["device"] == device).collect() };
-    // pyigtl keeps the newest message of each device: what comes more often than it is asked is not seen.
-    let enough = eventually(HANG_S, || {
-        ["LpsToCamera", "Drr", "Acquired", "TipToLps", "Frame"].iter().all(|device| !of(device).is_empty()).then_some(())
-    });
-    assert!(enough.is_some(), "{} {}", std::fs::read_to_string(&wrong_at).unwrap_or_default(), live.stderr());
-    live.signalled(Signal::INT);
-    assert!(live.program.end(HANG_S).is_some(), "the session ends");
-    python.kill().expect("it runs until it is told");
-    python.wait().expect("it ends");
-    let wrong = std::fs::read_to_string(&wrong_at).expect("what it complains of");
+    }
+
+    pub fn complaints(&self) -> String {
+        std::fs::read_to_string(&self.files[1]).expect("what it complains of")
+    }
+
+    /// pyigtl keeps the newest message of each device: what comes more often than it is asked is not seen.
+    pub fn has_enough(&self) -> bool {
+        let heard = self.heard();
+        let devices = ["LpsToCamera", "Drr", "Acquired", "TipToLps", "Frame"];
+        devices.iter().all(|device| heard.iter().any(|row| row["device"] == *device))
+    }
+
+    /// It listens until it is told otherwise; what it heard, and what it complained of.
+    pub fn end(mut self) -> (Vec<Value>, String) {
+        self.python.kill();
+        (self.heard(), self.complaints())
+    }
+}
+
+#[test]
+fn pyigtl_understands_a_session() {
+    if peers().is_none() {
+        return;
+    }
+    let Some(session) = heard() else { return };
+    let (heard, wrong) = session.by_peer.as_ref().expect("pyigtl was there");
+    let of = |device: &str| -> Vec<Value> { heard.iter().filter(|row| row["device"] == device).cloned().collect() };
     assert!(!wrong.contains("Error") && !wrong.contains("CRC"), "{wrong}");
 
-    let logged = poses(&live.log);
+    let logged = poses(&session.log);
     let logged_at = |row: &Value| {
         let us = row["stamp"].as_f64().expect("seconds") * 1e6;
         // Seconds since 1970 as a float are good to a quarter of a microsecond.
@@ -97,7 +119,7 @@ fn pyigtl_understands_a_session() {
     // Rows of a picture are its second axis: the DRR is the file's, pixel for pixel, as far as its sum and its scale tell.
     let row = of("Drr").pop().expect("some");
     let (number, accepted, _) = logged_at(&row).expect("the pose of a DRR");
-    let file = read_tiff_f32(&out.join(format!("drr/{number:03}.tif"))).expect("readable").remove(0);
+    let file = read_tiff_f32(&session.out.join(format!("drr/{number:03}.tif"))).expect("readable").remove(0);
     let sum: f64 = file.pixels.iter().map(|value| f64::from(*value)).sum();
     assert_eq!(row["shape"], json!([1, file.height, file.width]));
     assert!(accepted && (row["sum"].as_f64().expect("a sum") - sum).abs() <= 1e-9 * sum.abs(), "{row} {sum}");

@@ -1,15 +1,16 @@
-//! A session heard over OpenIGTLink by a client of its own: what it says is what stands in the log, and nothing of a refused frame.
+//! A session heard over OpenIGTLink by a client of its own, and by pyigtl: what it says is what stands in the log, and nothing of a refused frame.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use serde_json::{Value, json};
 use sidecarm::image::read_tiff_f32;
 use sidecarm::record::{read_log, topic};
 
 use crate::igtl_client::{Client, Told};
+use crate::igtl_peer::Peer;
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 pub type Matrix = [[f64; 4]; 4];
@@ -27,7 +28,7 @@ fn apart_mm(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// The address that the program says.
-pub fn address(words: &str) -> Option<std::net::SocketAddr> {
+fn address(words: &str) -> Option<std::net::SocketAddr> {
     words.split("OpenIGTLink listens on ").nth(1)?.split_whitespace().next()?.parse().ok()
 }
 
@@ -45,14 +46,26 @@ pub fn poses(log: &Path) -> BTreeMap<i64, (u64, bool, Option<Matrix>)> {
     found
 }
 
-#[test]
-fn a_session_tells_its_poses_pictures_and_lines() {
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none"]) else { return };
+/// What two clients heard of one session.
+pub struct Heard {
+    pub told: Vec<Told>,
+    /// pyigtl's messages, and what it complained of, where it is there.
+    pub by_peer: Option<(Vec<Value>, String)>,
+    pub out: PathBuf,
+    pub log: PathBuf,
+    pub stderr: String,
+}
+
+fn hear() -> Option<Heard> {
+    let home = Path::new(env!("CARGO_TARGET_TMPDIR")).join("igtl");
+    let _ = std::fs::remove_dir_all(&home);
+    std::fs::create_dir_all(&home).expect("a folder");
+    let lab = Lab::start(&["--duration-s", "12", "--faults", "none"])?;
     let session = lab.session("heard.json", |session| session["igtl"] = json!({ "port": 0 }));
-    let out = lab.kit.join("heard");
-    let mut live = Live::launch(&session, &out, &[]);
+    let mut live = Live::launch(&session, &home.join("heard"), &[]);
     let address = eventually(HANG_S, || address(&live.stderr())).expect("it says where it listens");
     assert!(address.ip().is_loopback(), "{address}");
+    let peer = Peer::start(&home, address);
     let told = Arc::new(Mutex::new(Vec::<Told>::new()));
     let listener = {
         let (told, mut client) = (Arc::clone(&told), Client::connect(address));
@@ -60,33 +73,54 @@ fn a_session_tells_its_poses_pictures_and_lines() {
             std::iter::from_fn(|| client.next()).for_each(|message| told.lock().expect("not poisoned").push(message));
         })
     };
-    let of = |device: &str| -> Vec<Told> {
-        told.lock().expect("not poisoned").iter().filter(|told| told.device == device).cloned().collect()
+    let has = |device: &str, is_it: fn(&Told) -> bool| {
+        told.lock().expect("not poisoned").iter().any(|told| told.device == device && is_it(told))
     };
-    let refused = |told: &Told| told.text().contains("refused, ");
     // On a crowded machine the newest frames are developed first, and of older ones only the lines are told.
-    let enough = eventually(HANG_S, || (of("Frame").iter().any(refused) && !of("Drr").is_empty()).then_some(()));
-    assert!(enough.is_some(), "{:?}; {}", of("Frame").iter().map(Told::text).collect::<Vec<_>>(), live.stderr());
+    let enough = eventually(HANG_S, || (has("Frame", is_refused) && has("Drr", |_| true)).then_some(()));
+    assert!(enough.is_some(), "no refused frame, or no DRR: {}", live.stderr());
+    if let Some(peer) = &peer {
+        assert!(eventually(HANG_S, || peer.has_enough().then_some(())).is_some(), "{} {}", peer.complaints(), live.stderr());
+    }
     live.signalled(Signal::INT);
     assert!(live.program.end(HANG_S).is_some(), "the session ends");
     listener.join().expect("the client is well");
+    let by_peer = peer.map(Peer::end);
+    let told = std::mem::take(&mut *told.lock().expect("not poisoned"));
+    Some(Heard { told, by_peer, out: live.out.clone(), log: live.log.clone(), stderr: live.stderr() })
+}
+
+/// One session for both clients; `None` (said) where mock-lab was not built.
+pub fn heard() -> Option<&'static Heard> {
+    static HEARD: OnceLock<Option<Heard>> = OnceLock::new();
+    HEARD.get_or_init(hear).as_ref()
+}
+
+fn is_refused(told: &Told) -> bool {
+    told.text().contains("refused, ")
+}
+
+#[test]
+fn a_session_tells_its_poses_pictures_and_lines() {
+    let Some(heard) = heard() else { return };
+    let of = |device: &str| -> Vec<Told> { heard.told.iter().filter(|told| told.device == device).cloned().collect() };
     assert_eq!(of("Sidecarm").last().map(Told::status), Some((19, "the session ends".to_owned())));
 
-    let poses = poses(&live.log);
+    let poses = poses(&heard.log);
     let (mut transforms, mut worlds) = (0, Vec::new());
     let nominal = of("CameraToWorld");
     assert!(nominal.len() > 30 && nominal.is_sorted_by_key(Told::time_us), "{} of the C-arm", nominal.len());
-    for heard in of("LpsToCamera") {
-        let (_, accepted, logged) = &poses[&heard.time_us()];
+    for told in of("LpsToCamera") {
+        let (_, accepted, logged) = &poses[&told.time_us()];
         assert!(accepted, "of a refused frame");
         let logged = logged.expect("a camera");
-        for (heard, logged) in heard.matrix().iter().flatten().zip(logged.iter().flatten()) {
+        for (heard, logged) in told.matrix().iter().flatten().zip(logged.iter().flatten()) {
             assert!((heard - logged).abs() <= logged.abs() * 1e-6 + 1e-6, "{heard} {logged}");
         }
         transforms += 1;
         // world_from_camera · camera_from_lps: the specimen lies still, wherever the arm stands.
-        let nearest = nominal.iter().min_by_key(|told| (told.time_us() - heard.time_us()).abs()).expect("some");
-        worlds.push(place(&product(&nearest.matrix(), &heard.matrix())));
+        let nearest = nominal.iter().min_by_key(|of_arm| (of_arm.time_us() - told.time_us()).abs()).expect("some");
+        worlds.push(place(&product(&nearest.matrix(), &told.matrix())));
     }
     assert!(transforms >= 1, "no transform");
     for (index, world) in worlds.iter().enumerate() {
@@ -109,8 +143,8 @@ fn a_session_tells_its_poses_pictures_and_lines() {
 
     // A refused frame: its line, its picture nowhere, and no transform.
     let lines = of("Frame");
-    let line = lines.iter().find(|line| refused(line)).expect("there is one");
-    assert!(live.stderr().contains(&line.text()), "{}", line.text());
+    let line = lines.iter().find(|line| is_refused(line)).expect("there is one");
+    assert!(heard.stderr.contains(&line.text()), "{}", line.text());
     let (number, accepted, _) = poses[&line.time_us()];
     assert!(!accepted && line.text().starts_with(&format!("frame {number} ")), "{}", line.text());
     let has = |device: &str, time_us: i64| of(device).iter().any(|told| told.time_us() == time_us);
@@ -131,7 +165,7 @@ fn a_session_tells_its_poses_pictures_and_lines() {
     // The DRR is the one in the session's folder.
     let drr = of("Drr").pop().expect("some");
     let number = poses[&drr.time_us()].0;
-    let file = read_tiff_f32(&out.join(format!("drr/{number:03}.tif"))).expect("readable").remove(0);
+    let file = read_tiff_f32(&heard.out.join(format!("drr/{number:03}.tif"))).expect("readable").remove(0);
     let bytes: Vec<u8> = file.pixels.iter().flat_map(|value| value.to_le_bytes()).collect();
     assert!(drr.content[72..] == bytes[..], "DRR of frame {number}");
 }

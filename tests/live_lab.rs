@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use serde_json::Value;
@@ -19,17 +19,20 @@ pub use rustix::process::Signal;
 /// What does not happen within this hangs, however crowded the machine is.
 pub const HANG_S: f64 = 400.0;
 
-/// Checks every few milliseconds whether `fact` holds; `None` when it does not within `limit_s`.
+/// Checks every few milliseconds whether `fact` holds; `None` when it does not within `limit_s`. A check that takes long, as that of a whole
+/// log, is made less often: it would take the processor from what it waits for.
 pub fn eventually<T>(limit_s: f64, mut fact: impl FnMut() -> Option<T>) -> Option<T> {
     let watch = Stopwatch::start();
     loop {
+        let asked_ms = watch.ms();
         if let Some(found) = fact() {
             return Some(found);
         }
-        if watch.ms() > limit_s * 1e3 {
+        let now_ms = watch.ms();
+        if now_ms > limit_s * 1e3 {
             return None;
         }
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_secs_f64(1e-3 * (3.0 * (now_ms - asked_ms)).max(5.0)));
     }
 }
 
@@ -39,6 +42,18 @@ fn mock_program() -> Option<PathBuf> {
         println!("skipped: mock-lab is not beside sidecarm; cargo build --workspace makes it");
     }
     Some(path).filter(|path| path.exists())
+}
+
+/// Where mock-lab keeps the CT and the pictures that it has drawn: most labs have the same.
+pub fn drawn() -> &'static Path {
+    static DRAWN: OnceLock<PathBuf> = OnceLock::new();
+    DRAWN.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("drawn");
+        // Those of another build may be others.
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("a folder");
+        folder
+    })
 }
 
 /// Ends a process when the test ends, however it ends.
@@ -77,12 +92,16 @@ impl Drop for Running {
 
 /// The process that writes `log` for another one.
 pub fn keeper(log: &Path) -> Option<rustix::process::Pid> {
-    let log = log.as_os_str().as_encoded_bytes();
+    process_with(&[&b"keep-log"[..], log.as_os_str().as_encoded_bytes()])
+}
+
+/// A process of which these are the first arguments.
+pub fn process_with(arguments: &[&[u8]]) -> Option<rustix::process::Pid> {
     std::fs::read_dir("/proc").into_iter().flatten().flatten().find_map(|entry| {
         let pid = entry.file_name().to_str()?.parse().ok()?;
         let words = std::fs::read(entry.path().join("cmdline")).ok()?;
-        let mut words = words.split(|byte| *byte == 0).skip(1);
-        (words.next()? == b"keep-log" && words.next()? == log).then(|| rustix::process::Pid::from_raw(pid))?
+        let words = words.split(|byte| *byte == 0).skip(1).take(arguments.len());
+        words.eq(arguments.iter().copied()).then(|| rustix::process::Pid::from_raw(pid))?
     })
 }
 
@@ -108,7 +127,7 @@ impl Lab {
         let folder = tempfile::tempdir().expect("temporary folder");
         let kit = folder.path().join("lab");
         let mut command = Command::new(program);
-        command.arg("--out").arg(&kit).arg("--sent").arg(folder.path().join("sent.csv")).args(args);
+        command.arg("--out").arg(&kit).arg("--sent").arg(folder.path().join("sent.csv")).arg("--drawn").arg(drawn()).args(args);
         let child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("mock-lab starts");
         let mut mock = Running(child);
         let out = mock.0.stdout.take().expect("piped");
@@ -139,6 +158,19 @@ impl Lab {
             Some(Sent { host_us, device, sequence: fields.next()?.parse().ok()? })
         };
         whole.lines().map(|line| packet(line).unwrap_or_else(|| panic!("{line}"))).collect()
+    }
+
+    /// Takes the CT out of the scene: what costs a pair most is drawing it, and poses, bindings and what is said of both do not hang on it.
+    #[must_use]
+    pub fn without_ct(self) -> Self {
+        let path = self.kit.join("scene.json");
+        let mut scene: Value = serde_json::from_slice(&std::fs::read(&path).expect("a scene")).expect("JSON");
+        let objects = scene["objects"].as_array_mut().expect("a list");
+        let count = objects.len();
+        objects.retain(|object| object["ct"].is_null());
+        assert_eq!(objects.len() + 1, count, "there was one");
+        std::fs::write(&path, scene.to_string()).expect("written");
+        self
     }
 
     /// The session file with changes.
@@ -231,7 +263,15 @@ impl Live {
         Self::spawn(command, session, out, &[]).recording()
     }
 
-    fn recording(self) -> Self {
+    /// As [`Live::launch`], with parts that die or hang: `breaks` is a list of `PART:NUMBER` (`src/session/fault.rs`).
+    pub fn breaking(session: &Path, out: &Path, breaks: &str) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.env("SIDECARM_BREAKS", breaks);
+        Self::spawn(command, session, out, &[])
+    }
+
+    /// Waits until telemetry has reached the log.
+    pub fn recording(self) -> Self {
         let mut live = self;
         let grown = eventually(HANG_S, || {
             let log = read_log(&live.log).ok()?;
@@ -394,16 +434,23 @@ pub fn many_images(frame: &Path, count: usize, path: &Path) {
     object.write_to_file(path).expect("written");
 }
 
+/// The one frame of a lab, drawn once for all tests; `None` (said) where mock-lab was not built.
+fn frame_of_a_lab() -> Option<&'static [u8]> {
+    static FRAME: OnceLock<Option<Vec<u8>>> = OnceLock::new();
+    let draw = || {
+        let mut lab = Lab::start(&["--kit-only", "--exposures", "1"])?;
+        lab.mock.end(HANG_S).expect("it ends when it has drawn");
+        let made = std::fs::read_dir(lab.frames()).expect("the folder is there").flatten().next().expect("a frame");
+        Some(std::fs::read(made.path()).expect("readable"))
+    };
+    FRAME.get_or_init(draw).as_deref()
+}
+
 /// A lab without exposures of its own, a frame of another lab to deliver, and an empty folder.
 pub fn quiet_lab(seconds: &str) -> Option<(Lab, PathBuf, tempfile::TempDir)> {
     let folder = tempfile::tempdir().expect("temporary folder");
     let frame = folder.path().join("frame.dcm");
-    {
-        let kit = Lab::start(&["--kit-only", "--exposures", "1"])?;
-        let made = eventually(HANG_S, || std::fs::read_dir(kit.frames()).ok()?.flatten().next()).expect("a frame");
-        std::thread::sleep(Duration::from_millis(200));
-        std::fs::copy(made.path(), &frame).expect("copied");
-    }
+    std::fs::write(&frame, frame_of_a_lab()?).expect("written");
     let lab = Lab::start(&["--duration-s", seconds, "--faults", "none", "--exposures", "0", "--linger-s", "30"])?;
     Some((lab, frame, folder))
 }

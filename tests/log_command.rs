@@ -9,7 +9,9 @@ use sidecarm::record::{read_log, topic};
 
 use crate::acquire_identity::hits;
 use crate::live_lab::Heard;
-use crate::log_lab::{CANARIES, SERIAL_NUMBERS, arrivals_us, count, entries, info, meddled, recorded, replay, sidecarm, text};
+use crate::log_lab::{
+    CANARIES, SERIAL_NUMBERS, arrivals_us, count, entries, info, meddled, meddled_of_beads, recorded, replay, sidecarm, text,
+};
 
 #[test]
 fn a_log_tells_what_is_in_it() {
@@ -141,13 +143,13 @@ fn logs_of_one_session_join_and_replay_as_each_alone() {
         assert_eq!(code, Some(0), "{found:#}");
         found
     };
-    let [a, b, both] = [alone(first, "a"), alone(second, "b"), alone(&out, "both")];
+    let (a, [b, both]) = (session.replayed(), [alone(second, "b"), alone(&out, "both")]);
     for what in ["frames", "poses_identical", "images_identical", "scores_identical"] {
-        assert_eq!(count(&a, what) + count(&b, what), count(&both, what), "{what}: {both:#}");
+        assert_eq!(count(a, what) + count(&b, what), count(&both, what), "{what}: {both:#}");
     }
-    assert!(count(&both, "poses_different") == 0 && count(&both, "poses_identical") >= 8, "{both:#}");
+    assert!(count(&both, "poses_different") == 0 && count(&both, "poses_identical") >= 7, "{both:#}");
     // A part of the second log, whose devices began before it does.
-    let (middle, part) = (frames[2][frames[0].len() + 2], folder.path().join("part.mcap"));
+    let (middle, part) = (frames[2][frames[2].len() - 2], folder.path().join("part.mcap"));
     let from = sidecarm::time::rfc3339_from_us(middle.1 - 10_000);
     let ran = sidecarm(&["log", "cut", text(&out), "--from", &from, "--to", "1000", "--out", text(&part)]);
     assert!(ran.code == Some(0) && sidecarm(&["log", "verify", text(&part)]).code == Some(0), "{}{}", ran.stdout, ran.stderr);
@@ -157,11 +159,13 @@ fn logs_of_one_session_join_and_replay_as_each_alone() {
     // Exposures before and after the seam may have the same number.
     let ran = sidecarm(&["attach", text(&out), text(folder.path())]);
     assert!(ran.code == Some(1) && ran.stderr.contains("joined of several logs"), "{}", ran.stderr);
-    // The control: without the seam the second log's poses would rest on what the first had learnt.
+    // The control: without the seam the second log's poses would rest on what the first had learnt. The first's are as they were, also in a scene
+    // of beads alone.
     let seamless = folder.path().join("seamless.mcap");
-    meddled(&out, &seamless, &mut |topic, _| topic != "/session/restart");
+    meddled_of_beads(&out, &seamless, &mut |topic, _| topic != "/session/restart");
     let (_, found) = replay(&seamless, &session.kit, &folder.path().join("seamless"));
-    assert!(count(&found, "poses_different") > 0, "{found:#}");
+    let different = found["poses_different"].as_array().expect("a list");
+    assert!(!different.is_empty() && different.iter().all(|number| number.as_u64() > Some(last)), "{found:#}");
 }
 
 #[test]
@@ -325,11 +329,11 @@ fn a_redacted_log_tells_no_names_and_replays_to_the_same_poses() {
     assert_eq!(pixels(log), pixels(&out));
     let ran = sidecarm(&["log", "verify", text(&out)]);
     assert_eq!(ran.code, Some(0), "{}", ran.stdout);
-    let (_, original) = replay(log, &session.kit, &folder.path().join("original"));
+    let original = session.replayed();
     let (code, found) = replay(&out, &session.kit, &folder.path().join("replayed"));
     assert_eq!(code, Some(0), "{found:#}");
     for what in ["poses_identical", "images_identical", "scores_identical"] {
-        assert!(count(&found, what) == count(&original, what) && count(&found, what) >= 3, "{what}: {found:#}");
+        assert!(count(&found, what) == count(original, what) && count(&found, what) >= 3, "{what}: {found:#}");
     }
     let report = std::fs::read_to_string(folder.path().join("replayed/report.html")).expect("a report");
     assert!(!report.contains("not the one that the scene draws"), "the robot is that of the session, whoever measured it");

@@ -8,9 +8,9 @@ use crate::mask_draw::Draw;
 pub struct Blades {
     /// Open where `normal · x <= limit_px`; normals point out of the field.
     pub planes: Vec<(DVec2, f64)>,
-    disc: Option<(DVec2, f64)>,
+    pub disc: Option<(DVec2, f64)>,
     /// A rectangle with round corners: centre, half size, its first axis, radius of the corners.
-    rounded: Option<(DVec2, DVec2, DVec2, f64)>,
+    pub rounded: Option<(DVec2, DVec2, DVec2, f64)>,
 }
 
 impl Blades {
@@ -34,7 +34,7 @@ impl Blades {
     }
 }
 
-fn polygon(centre: DVec2, sides: usize, inradius: f64, turn: f64) -> Vec<(DVec2, f64)> {
+pub fn polygon(centre: DVec2, sides: usize, inradius: f64, turn: f64) -> Vec<(DVec2, f64)> {
     (0..sides)
         .map(|side| {
             let normal = DVec2::from_angle(turn + std::f64::consts::TAU * side as f64 / sides as f64);

@@ -2,10 +2,10 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
-use sidecarm::geometry::VoxelGrid;
 use sidecarm::gpu::{Device, DeviceChoice};
-use sidecarm::infer::materials::{HuVolume, LoadedMaterials};
+use sidecarm::infer::materials::LoadedMaterials;
 use sidecarm::infer::{Input, LoadedNetwork, NetworkDevice, NetworkFiles, PIXELS, ScatterNetwork};
 use sidecarm::learn::materials::phantom;
 use sidecarm::learn::{HoldOut, LabelledSpecimen, Recipe, TrainOptions, Trained, train};
@@ -14,6 +14,7 @@ use sidecarm::reporter::Reporter;
 use sidecarm::time::Stopwatch;
 use sidecarm::transport::{CHANNELS, SCALARS};
 
+use crate::materials_learn::middle_of;
 use crate::network_samples as samples;
 
 fn shared(device: &Device) -> NetworkDevice {
@@ -26,17 +27,23 @@ fn software() -> Option<Device> {
     opened.map_err(|error| println!("skipped: {error}")).ok()
 }
 
-/// A folder with twelve samples.
-fn twelve() -> tempfile::TempDir {
+/// Software Vulkan as all but one test share it: what one has compiled is there for the next.
+fn gpu() -> Option<NetworkDevice> {
+    static SHARED: OnceLock<Option<NetworkDevice>> = OnceLock::new();
+    SHARED.get_or_init(|| software().as_ref().map(shared)).clone()
+}
+
+/// A folder with so many samples.
+fn folder_of(count: u64) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("samples")).expect("a folder");
-    samples::write(&folder.path().join("samples"), 12);
+    samples::write(&folder.path().join("samples"), count);
     folder
 }
 
 fn options(folder: &Path, name: &str, epochs: usize, device: NetworkDevice) -> TrainOptions {
     let hold_out = HoldOut::Specimens { names: vec!["hip".to_owned()] };
-    let recipe = Recipe { epochs, batch: 3, hold_out, ..Recipe::default() };
+    let recipe = Recipe { epochs, batch: 2, hold_out, ..Recipe::default() };
     TrainOptions { device, ..TrainOptions::new(folder.join("samples"), folder.join(name), recipe) }
 }
 
@@ -48,11 +55,11 @@ fn trained(options: &TrainOptions) -> (Trained, Vec<f32>) {
 
 #[test]
 fn a_gpu_trains_as_the_processor_does() {
-    let Some(device) = software() else { return };
-    let folder = twelve();
-    let on = |name: &str, device: NetworkDevice| trained(&options(folder.path(), name, 2, device));
+    let Some(gpu) = gpu() else { return };
+    // Two steps of two samples each.
+    let folder = folder_of(8);
+    let on = |name: &str, device: NetworkDevice| trained(&options(folder.path(), name, 1, device));
     let (processor, of_processor) = on("processor", NetworkDevice::default());
-    let gpu = shared(&device);
     let (on_gpu, of_gpu) = on("gpu", gpu.clone());
     assert!(
         on_gpu.card.training_devices == [gpu.name.as_str()] && !processor.card.training_devices.contains(&gpu.name),
@@ -77,8 +84,8 @@ fn a_gpu_trains_as_the_processor_does() {
 #[test]
 fn a_training_on_a_lost_gpu_goes_on_from_the_last_epoch() {
     let Some(device) = software() else { return };
-    let folder = twelve();
-    let lost = options(folder.path(), "lost", 3, shared(&device));
+    let folder = folder_of(4);
+    let lost = options(folder.path(), "lost", 2, shared(&device));
     let error = train(&lost, &mut |progress| {
         if let (Some(_), Device::Gpu(gpu)) = (progress.done, &device) {
             gpu.device.destroy();
@@ -87,16 +94,16 @@ fn a_training_on_a_lost_gpu_goes_on_from_the_last_epoch() {
     });
     let error = error.expect_err("it is lost").to_string();
     assert!(error.contains(&lost.device.name) && error.contains("--resume"), "{error}");
-    let resumed = TrainOptions { resume: true, ..options(folder.path(), "lost", 3, NetworkDevice::default()) };
+    let resumed = TrainOptions { resume: true, ..options(folder.path(), "lost", 2, NetworkDevice::default()) };
     let (whole, _) = trained(&resumed);
-    assert_eq!((whole.history.len(), whole.card.training_devices.len()), (3, 2), "{:?}", whole.card.training_devices);
+    assert_eq!((whole.history.len(), whole.card.training_devices.len()), (2, 2), "{:?}", whole.card.training_devices);
 }
 
 #[test]
 fn a_gpu_says_the_scatter_that_the_processor_says() {
-    let Some(device) = software() else { return };
+    let Some(gpu) = gpu() else { return };
     let on = |device: &NetworkDevice| LoadedNetwork::shipped_on(device, &CHANNELS, &SCALARS).expect("it comes with the program");
-    let networks = [NetworkDevice::default(), shared(&device)].map(|device| on(&device));
+    let networks = [NetworkDevice::default(), gpu].map(|device| on(&device));
     for number in 0..3 {
         let mut stream = Stream::new(7, 0, number, Purpose::Evaluation);
         let mut values = |count: usize| (0..count).map(|_| stream.uniform() as f32).collect::<Vec<f32>>();
@@ -110,28 +117,15 @@ fn a_gpu_says_the_scatter_that_the_processor_says() {
 
 #[test]
 fn a_gpu_finds_the_bone_that_the_processor_finds() {
-    let Some(device) = software() else { return };
-    let specimen = corner_of(&phantom(3, &[], String::new()), 24);
-    let [a, b] = [NetworkDevice::default(), shared(&device)].map(|device| {
+    let Some(gpu) = gpu() else { return };
+    let specimen = middle_of(&phantom(3, &[], String::new()), 24);
+    let [a, b] = [NetworkDevice::default(), gpu].map(|device| {
         let network = LoadedMaterials::shipped(device).expect("it comes with the program");
-        network.bone(&HuVolume { grid: specimen.0, hu: &specimen.1 }, &mut |_, _, _| {})
+        network.bone(&specimen.volume(), &mut |_, _, _| {})
     });
     let bone = a.iter().filter(|bone| **bone).count();
     let apart = a.iter().zip(&b).filter(|(a, b)| a != b).count();
     assert!(bone > 200 && apart * 1000 <= bone, "{apart} of {bone}");
-}
-
-/// The middle `side`³ voxels.
-fn corner_of(specimen: &LabelledSpecimen, side: usize) -> (VoxelGrid, Vec<f32>) {
-    let size = specimen.grid.size.map(|size| side.min(size));
-    let first: [usize; 3] = std::array::from_fn(|axis| (specimen.grid.size[axis] - size[axis]) / 2);
-    let mut hu = Vec::new();
-    for k in 0..size[2] {
-        for j in 0..size[1] {
-            hu.extend((0..size[0]).map(|i| specimen.hu[specimen.grid.index([first[0] + i, first[1] + j, first[2] + k])]));
-        }
-    }
-    (VoxelGrid { size, lps_from_voxel: specimen.grid.lps_from_voxel }, hu)
 }
 
 /// How long the networks take on this machine's processor and GPU (`SIDECARM_DEVICE=software-vulkan` for the other kind); `SIDECARM_SPECIMEN` is a

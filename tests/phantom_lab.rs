@@ -125,6 +125,7 @@ impl Lab {
         let posture = arm.posture(joints);
         let inside = |at: &DVec2| at.cmpge(DVec2::splat(10.0)).all() && at.cmple(DVec2::splat(1525.0)).all();
         let mut shadows: Vec<ShotShadow> = Vec::new();
+        let noise_px2 = [self.noise_px.powi(2), 0.0, self.noise_px.powi(2)];
         for bead in &self.beads {
             let [u, v] = posture.shadow(bed.room_from_lps(place(*bead)), &arm);
             let noise = DVec2::new(random.normal(), random.normal()) * self.noise_px;
@@ -133,12 +134,12 @@ impl Lab {
             // Near enough for a radius; its 3 % are the fit's, which the program takes into account.
             let radius_px = Some(0.97 * RADIUS_MM * 1020.0 / 631.8 / 0.194);
             if inside(&at) && !missing {
-                shadows.push(ShotShadow { image_px: at, sigma_px: self.noise_px, radius_px });
+                shadows.push(ShotShadow { image_px: at, noise_px2, radius_px });
             }
         }
         for _ in 0..self.false_shadows {
             let image_px = DVec2::new(767.5 + within(&mut random, 700.0), 767.5 + within(&mut random, 700.0));
-            shadows.insert(0, ShotShadow { image_px, sigma_px: self.noise_px, radius_px: None });
+            shadows.insert(0, ShotShadow { image_px, noise_px2, radius_px: None });
         }
         let read = self.read(&mut random, joints);
         let (camera_from_world, intrinsics, covariance) = Cameras::by_joints(&carm, &read, &self.sigma).expect("all joints");

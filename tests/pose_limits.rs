@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::DMatrix;
 use sidecarm::beads::{BeadLayout, Detection, Landmark};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
-use sidecarm::pose::{Pose, Prior, Refusal, Registration, register_shadows};
+use sidecarm::pose::{Pose, Prior, Refusal, Registration, fuse, register_shadows};
 
 use crate::pose_mistakes::about_beads;
 use crate::pose_registration::{clutter, landmark_error_px, matching, shadows};
@@ -72,16 +72,22 @@ fn covariance(view: &View, layout: &BeadLayout, sigma_mm: f64, numbers: usize) -
     information.try_inverse().expect("enough beads")
 }
 
-/// Along the worst direction, of the worst place one layout radius off the plane z = 0 above a bead or above their middle.
-fn off_plane_px(view: &View, layout: &BeadLayout, sigma_mm: f64) -> f64 {
-    let (covariance, middle) = (covariance(view, layout, sigma_mm, POSE), layout.centroid_lps_mm());
-    let radius_mm = layout.beads.iter().map(|bead| bead.lps_mm.distance(middle)).fold(0.0, f64::max);
-    let sigma_px = |lps_mm: DVec3| {
-        let jacobian = by_camera(view, middle, lps_mm, POSE);
+/// Along the worst direction, of the worst of some places.
+fn worst_px(view: &View, layout: &BeadLayout, sigma_mm: f64, places: &[DVec3]) -> f64 {
+    let covariance = covariance(view, layout, sigma_mm, POSE);
+    let sigma_px = |lps_mm: &DVec3| {
+        let jacobian = by_camera(view, layout.centroid_lps_mm(), *lps_mm, POSE);
         (&jacobian * &covariance * jacobian.transpose()).symmetric_eigenvalues().max().sqrt()
     };
+    places.iter().map(sigma_px).fold(0.0, f64::max)
+}
+
+/// The places one layout radius off the plane z = 0 above a bead or above their middle.
+fn off_plane(layout: &BeadLayout) -> Vec<DVec3> {
+    let middle = layout.centroid_lps_mm();
+    let radius_mm = layout.beads.iter().map(|bead| bead.lps_mm.distance(middle)).fold(0.0, f64::max);
     let feet = layout.beads.iter().map(|bead| bead.lps_mm).chain([middle]);
-    feet.flat_map(|foot| [1.0, -1.0].map(|side| sigma_px(foot + DVec3::Z * (side * radius_mm)))).fold(0.0, f64::max)
+    feet.flat_map(|foot| [1.0, -1.0].map(|side| foot + DVec3::Z * (side * radius_mm))).collect()
 }
 
 /// Relative, of the focal length where it is solved.
@@ -105,42 +111,93 @@ fn stated_px(all: &[String], words: &str) -> Option<f64> {
     rest.split(' ').next()?.parse().ok()
 }
 
-/// A plate holds what lies in it, and what lies a hand's breadth above it much worse: residuals are small all the same.
-#[test]
-fn a_pose_that_is_loose_off_its_beads_plane_is_flagged() {
+/// A plate that is tilted against the line of sight, its shadows, and a prior that tells it from its mirror image about that line.
+fn tilted_plate() -> (View, BeadLayout, Vec<Detection>, Prior) {
     let view = tilted_view(25.0);
     let places = [(-30.0, -20.0), (25.0, -28.0), (31.0, 14.0), (-8.0, 30.0), (-26.0, 12.0), (4.0, -6.0), (12.0, 22.0)]
         .map(|(x, y)| DVec3::new(x, y, 0.0));
     let plate = synthetic::layout_of(&places, 0.75);
     let found = shadows(&view, &plate, NOISE_PX, 0.0, 1);
     assert_eq!(found.len(), places.len(), "all in the picture");
-    // The prior tells the plate from its mirror image about the line of sight.
     let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: Some(about_beads(&view.camera_from_lps, 1.0, 5.0)) };
-    // Among the beads: certain, whatever is off their plane.
-    let middle = [Landmark { name: "middle".to_owned(), lps_mm: plate.centroid_lps_mm() }];
+    (view, plate, found, prior)
+}
+
+fn landmark(lps_mm: DVec3) -> Landmark {
+    Landmark { name: "screw".to_owned(), lps_mm }
+}
+
+/// A plate holds what lies in it, and what lies a hand's breadth above it much worse: residuals are small all the same.
+#[test]
+fn a_pose_that_is_loose_off_its_beads_plane_is_flagged() {
+    let (view, plate, found, prior) = tilted_plate();
+    let said = |sigma_mm: f64, landmarks: &[Landmark]| {
+        let layout = known_to(plate.clone(), sigma_mm);
+        let pose = register_shadows(&Registration { prior: Some(&prior), landmarks, ..matching(&view, &layout) }, &found);
+        assert!(pose.is_accepted(), "{sigma_mm} mm: {:?}", pose.reason);
+        println!("{sigma_mm:.3} mm: {:?} {:?} {:?}", pose.notes, pose.cautions, pose.doubt);
+        let loosely = "hold the pose loosely";
+        let off_plane = stated_px(&pose.cautions, &format!("{loosely}: off their plane"));
+        [stated_px(&pose.notes, "nearly flat"), off_plane, stated_px(pose.doubt.as_slice(), loosely)]
+    };
+    // Among the beads: certain, whatever is off their plane. Beside it: what somebody wants there.
+    let middle = plate.centroid_lps_mm();
+    let beside = middle + DVec3::Z * 80.0;
     let mut cases = 0;
-    // From 1.5 px on it is a note, so that nothing above 2 px escapes; above 2 px, with nothing else asked for, a caution.
+    // From 1.5 px on it is a note, so that nothing above 2 px escapes; above 2 px a caution, and at a landmark a doubt.
     for (wanted_px, is_flagged, is_loose) in [(1.0, false, false), (1.75, true, false), (2.6, true, true)] {
-        let layout = known_to(plate.clone(), sigma_mm_for(wanted_px, |sigma_mm| off_plane_px(&view, &plate, sigma_mm)));
-        let pose = |landmarks: &[Landmark]| {
-            let pose = register_shadows(&Registration { prior: Some(&prior), landmarks, ..matching(&view, &layout) }, &found);
-            assert!(pose.is_accepted(), "{wanted_px} px: {:?}", pose.reason);
-            let said =
-                (stated_px(&pose.notes, "nearly flat"), stated_px(&pose.cautions, "hold the pose loosely: off their plane"));
-            println!("{wanted_px} px: note {:?}, caution {:?}; {:?} {:?}", said.0, said.1, pose.notes, pose.cautions);
-            said
-        };
-        let (note, caution) = pose(&[]);
-        assert_eq!((note.is_some(), caution.is_some()), (is_flagged && !is_loose, is_loose), "{wanted_px} px");
         // Said to a tenth of a pixel.
         let near = |stated: f64| (stated - wanted_px).abs() <= 0.05 + 0.1 * wanted_px;
+        let sigma_mm = sigma_mm_for(wanted_px, |sigma_mm| worst_px(&view, &plate, sigma_mm, &off_plane(&plate)));
+        let [note, caution, doubt] = said(sigma_mm, &[]);
+        assert_eq!((note.is_some(), caution.is_some(), doubt), (is_flagged && !is_loose, is_loose, None), "{wanted_px} px");
         assert!(note.or(caution).is_none_or(near), "{wanted_px} px: {note:?} {caution:?}");
-        let (note, caution) = pose(&middle);
-        assert_eq!((note.is_some(), caution), (is_flagged, None), "{wanted_px} px, and a landmark among the beads");
+        let [note, caution, doubt] = said(sigma_mm, &[landmark(middle)]);
+        assert_eq!((note.is_some(), caution, doubt), (is_flagged, None, None), "{wanted_px} px, and a landmark among the beads");
         assert!(note.is_none_or(near), "{wanted_px} px: {note:?}");
+        let sigma_mm = sigma_mm_for(wanted_px, |sigma_mm| worst_px(&view, &plate, sigma_mm, &[beside]));
+        let [_, caution, doubt] = said(sigma_mm, &[landmark(middle), landmark(beside)]);
+        assert_eq!((caution, doubt.is_some()), (None, is_loose), "{wanted_px} px at a landmark beside the beads");
+        assert!(doubt.is_none_or(near), "{wanted_px} px: {doubt:?}");
         cases += 1;
     }
     assert_eq!(cases, 3);
+}
+
+/// Where telemetry holds what a plate's beads leave loose, the fused pose is in no doubt for it.
+#[test]
+fn a_fused_pose_is_as_loose_as_both_leave_it() {
+    let (view, plate, found, prior) = tilted_plate();
+    let beside = plate.centroid_lps_mm() + DVec3::Z * 80.0;
+    let layout = known_to(plate.clone(), sigma_mm_for(2.6, |sigma_mm| worst_px(&view, &plate, sigma_mm, &[beside])));
+    let landmarks = [landmark(beside)];
+    let request = Registration { prior: Some(&prior), landmarks: &landmarks, ..matching(&view, &layout) };
+    let alone = register_shadows(&request, &found);
+    let is_loose = |pose: &Pose| pose.doubt.as_ref().is_some_and(|words| words.contains("loosely"));
+    assert!(alone.is_accepted() && is_loose(&alone), "the control: {:?} {:?}", alone.reason, alone.doubt);
+    let measured = Prior { covariance: Some(about_beads(&view.camera_from_lps, 0.02, 0.1)), ..prior };
+    // What both leave is not in doubt by itself.
+    let firm = Pose { doubt: None, ..alone.clone() };
+    let both = |by_beads: Pose| fuse(by_beads, &measured, &|_| firm.clone());
+    let fused = both(alone.clone());
+    assert!(fused.innovation.is_some() && fused.doubt.is_none(), "{:?} {:?}", fused.doubt, fused.notes);
+    let twins = Some("the prior alone tells it from its twin".to_owned());
+    let twin = Pose { doubt: twins.clone(), ..alone.clone() };
+    assert_eq!(both(twin.clone()).doubt, twins, "the control");
+    assert_eq!(
+        fuse(twin.clone(), &measured, &|_| alone.clone()).doubt,
+        twins,
+        "what is loose with telemetry too does not hide it"
+    );
+    // What is loose is no other pose: it may tie the specimen to the room, and as a prior it is as good as it says.
+    assert!(!alone.may_be_another() && twin.may_be_another());
+    let folder = tempfile::tempdir().expect("a folder");
+    let doubt_of = |pose: &Pose| {
+        let path = folder.path().join("POSE.json");
+        pose.write(&path).expect("written");
+        Prior::read_with_doubt(&path).expect("a prior").1
+    };
+    assert_eq!([doubt_of(&alone), doubt_of(&twin)], [None, twins]);
 }
 
 /// K free: what a small cloud or a nearly flat one leaves open, focal length against distance, no residual shows.

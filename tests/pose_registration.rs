@@ -122,7 +122,7 @@ fn drawn_radiographs_give_p_within_a_tenth_of_a_pixel() {
 #[test]
 fn missing_and_extra_shadows_and_a_prior_that_is_off_do_not_mislead() {
     let mut cases = 0;
-    for seed in 0..6 {
+    for seed in 0..2 {
         let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
         let mut found = shadows(&view, &layout, 0.1, 0.05, seed);
         found.drain(..2);
@@ -139,7 +139,7 @@ fn missing_and_extra_shadows_and_a_prior_that_is_off_do_not_mislead() {
             cases += 1;
         }
     }
-    assert_eq!(cases, 12);
+    assert_eq!(cases, 4);
 }
 
 #[test]
@@ -400,25 +400,17 @@ fn the_covariance_is_that_of_the_errors() {
 }
 
 #[test]
-fn real_frames_without_beads_are_refused() {
+fn a_real_frame_without_beads_is_refused() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/fluoroscopy-hip");
     if !folder.is_dir() {
         println!("skipped: {} is not there", folder.display());
         return;
     }
     let layout = synthetic::layout(8, 0.75, 1);
-    let mut cases = 0;
-    for number in [1, 4] {
-        let frame = sidecarm::acquire::read_frame(&folder.join(format!("frame-{number:02}.dcm")), None).expect("readable");
-        let intrinsics = sidecarm::geometry::Intrinsics { fx: 4470.0, fy: 4470.0, skew: 0.0, cx: 511.5, cy: 511.5 };
-        let pose = register(
-            &Registration { intrinsics: Some(intrinsics), ..Registration::new(frame.size_px.map(|n| n as u32), &layout) },
-            &frame,
-        );
-        println!("frame {number}: {}", reason(&pose));
-        cases += 1;
-    }
-    assert_eq!(cases, 2);
+    let frame = sidecarm::acquire::read_frame(&folder.join("frame-01.dcm"), None).expect("readable");
+    let intrinsics = sidecarm::geometry::Intrinsics { fx: 4470.0, fy: 4470.0, skew: 0.0, cx: 511.5, cy: 511.5 };
+    let request = Registration { intrinsics: Some(intrinsics), ..Registration::new(frame.size_px.map(|n| n as u32), &layout) };
+    assert!(!reason(&register(&request, &frame)).is_empty());
 }
 
 #[test]

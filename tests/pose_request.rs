@@ -106,7 +106,8 @@ fn a_prior_that_contradicts_is_ignored_only_when_told() {
 #[test]
 fn a_refusal_says_what_was_expected_and_what_was_found() {
     let (view, layout) = (synthetic::view(620, 480, 3), synthetic::layout(9, 1.5, 3));
-    let pixels = synthetic::radiograph(view, &layout, 20000.0, 3).draw();
+    let drawing = synthetic::radiograph(view, &layout, 20000.0, 3);
+    let pixels = synthetic::Radiograph { anatomy: false, metal: false, ..drawing }.draw();
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
     write_tiff_f32(std::path::Path::new(&path("frame.tif")), std::slice::from_ref(&pixels)).expect("written");

@@ -61,6 +61,7 @@ pub fn layout_of(places: &[DVec3], radius_mm: f64) -> BeadLayout {
         lps_mm: *lps_mm,
         radius_mm: Some(radius_mm),
         sigma_mm: None,
+        covariance_mm2: None,
     };
     BeadLayout {
         beads: places.iter().enumerate().map(bead).collect(),

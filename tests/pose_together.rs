@@ -56,10 +56,12 @@ impl Lab {
                 name: bead.name.clone(),
                 body: bead.body.clone(),
                 lps_mm: bead.lps_mm,
+                covariance_mm2: bead.covariance_mm2,
                 image_px: Some(at.to_array()),
                 predicted_px: None,
                 residual_px: None,
                 sigma_px: Some(NOISE_PX),
+                covariance_px2: None,
                 left_out_px: None,
                 beside_px: None,
                 off_sigmas: None,
@@ -135,6 +137,15 @@ fn a_view_in_doubt_is_told_at_the_top() {
     let mut views = lab.all(&prior.mean);
     let sure = lab.together(&views, Some(prior));
     assert!(sure.is_accepted() && sure.doubt.is_none(), "the control: {:?}", sure.doubt);
+    // All views together hold what one of them leaves loose.
+    views[2].pose.doubt("the beads hold the pose loosely: at l0 it is uncertain by 3.0 px (1 σ)".to_owned());
+    let firm = lab.together(&views, Some(prior));
+    assert!(firm.doubt.is_none() && firm.views[2].cautions.is_empty(), "{:?} {:?}", firm.doubt, firm.views[2].cautions);
+    let loose = views[2].pose.clone();
+    views[2].pose.doubt("a header says otherwise".to_owned());
+    let told = lab.together(&views, Some(prior)).doubt;
+    assert!(told.is_some_and(|words| words.contains("a header")), "what is said after it is not hidden by it");
+    views[2].pose = loose;
     views[1].pose.doubt("another reading fits as well".to_owned());
     let together = lab.together(&views, Some(prior));
     assert!(together.is_accepted(), "{:?}", together.reason);
@@ -250,7 +261,7 @@ fn a_bead_that_migrated_is_told_from_a_shadow_that_is_off() {
 
 /// The shadow of a bead's row, which is known as `bead`'s or nobody's.
 fn shadow_of(row: &BeadResidual, bead: Option<String>) -> Shadow {
-    Shadow { image_px: row.image_px.expect("seen"), sigma_px: NOISE_PX, radius_px: 3.8, snr: 30.0, bead }
+    Shadow { image_px: row.image_px.expect("seen"), sigma_px: NOISE_PX, covariance_px2: None, radius_px: 3.8, snr: 30.0, bead }
 }
 
 /// Too far away for any single view to name: its shadows belong to no bead in all of them.

@@ -22,7 +22,8 @@ fn frames_are_registered_together_by_the_command() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
     for (n, view) in lab.views.iter().enumerate() {
-        let pixels = synthetic::radiograph(*view, &drawn, 50000.0, n as u64).draw();
+        let drawing = synthetic::radiograph(*view, &drawn, 50000.0, n as u64);
+        let pixels = synthetic::Radiograph { anatomy: false, metal: false, ..drawing }.draw();
         write_tiff_f32(std::path::Path::new(&path(&format!("f{n}.tif"))), std::slice::from_ref(&pixels)).expect("written");
     }
     let description = "radius_mm=1.2 sigma_mm=0.1";

@@ -71,7 +71,7 @@ fn many_displaced_beads_are_named_worst() {
 #[test]
 fn one_of_six_beads_that_moved_is_left_out() {
     let (mut right, mut kept, mut other, mut all) = (0, 0, 0, 0);
-    for seed in 0..80 {
+    for seed in 0..48 {
         let (view, mut truth) = (synthetic::view(1024, 1024, seed), eight(seed));
         truth.beads.truncate(6);
         truth.beads.iter_mut().for_each(|bead| bead.sigma_mm = None);
@@ -97,14 +97,14 @@ fn one_of_six_beads_that_moved_is_left_out() {
         }
     }
     println!("of {all}: {right} leave it out, {kept} keep it, {other} leave out others");
-    assert!(all >= 20 && 10 * right >= 8 * all && kept == 0 && other == 0, "{kept} keep it, {other} leave out others");
+    assert!(all >= 12 && 10 * right >= 8 * all && kept == 0 && other == 0, "{kept} keep it, {other} leave out others");
 }
 
 /// Three of eight beads on a part that has moved drag the pose along, which fits so-so: it is never plain where it is pixels off.
 #[test]
 fn a_pose_that_follows_a_part_that_moved_is_in_doubt() {
     let (mut followed, mut plain, mut off) = (0, 0, 0);
-    for seed in 0..120 {
+    for seed in 0..72 {
         let (view, mut truth) = (synthetic::view(1024, 1024, seed), eight(seed));
         truth.beads.iter_mut().for_each(|bead| bead.sigma_mm = None);
         let found = shadows(&view, &truth, 0.05, 0.03, seed);
@@ -128,7 +128,7 @@ fn a_pose_that_follows_a_part_that_moved_is_in_doubt() {
         }
     }
     println!("{followed} accepted, {off} over 2 px off, {plain} of these plain");
-    assert!(off >= 5 && 10 * plain <= off, "{followed} accepted, {off} over 2 px off, {plain} of these plain");
+    assert!(off >= 3 && 10 * plain <= off, "{followed} accepted, {off} over 2 px off, {plain} of these plain");
 }
 
 /// Of two beads behind each other one shadow is seen, near the middle of theirs: taken for one of them it turned the pose, without a word.
@@ -233,13 +233,11 @@ fn roles_are_read_from_the_description() {
 #[test]
 fn many_beads_that_fit_too_badly_are_in_doubt() {
     let (mut plain, mut all, mut doubted) = (0, 0, 0);
-    for seed in 0..60 {
+    for seed in 0..20 {
         let (view, mut truth) = (synthetic::view(1024, 1024, seed), synthetic::layout(12, 0.75, seed));
         truth.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.1));
         let found = shadows(&view, &truth, 0.05, 0.1, seed);
-        if found.len() < 12 {
-            continue;
-        }
+        assert_eq!(found.len(), 12, "all in the picture");
         let control = register_shadows(&matching(&view, &truth), &found);
         assert!(control.is_accepted(), "control, seed {seed}: {:?}", control.reason);
         doubted += usize::from(control.doubt.is_some());
@@ -252,7 +250,8 @@ fn many_beads_that_fit_too_badly_are_in_doubt() {
         plain += usize::from(pose.is_accepted() && pose.doubt.is_none() && pose.beads.iter().all(|bead| bead.used));
     }
     println!("of {all}: {plain} are plainly accepted on all beads; {doubted} controls in doubt");
-    assert!(all >= 20 && 20 * plain <= all && doubted <= 1, "{plain} of {all} plain, {doubted} controls in doubt");
+    // Sixty have two; of twenty that is 0.7 ± 0.8.
+    assert!(all == 20 && plain <= 2 && doubted <= 1, "{plain} of {all} plain, {doubted} controls in doubt");
 }
 
 /// Two of twelve beads moved by the same, and two by different ways: the ten others carry the pose, and only of the first is it said that
@@ -260,12 +259,10 @@ fn many_beads_that_fit_too_badly_are_in_doubt() {
 #[test]
 fn beads_that_moved_together_are_said() {
     let (mut all, mut together, mut apart) = (0, 0, 0);
-    for seed in 0..40 {
+    for seed in 0..10 {
         let (view, truth) = (synthetic::view(1024, 1024, seed), synthetic::layout(12, 0.75, seed));
         let found = shadows(&view, &truth, 0.05, 0.1, seed);
-        if found.len() < 12 {
-            continue;
-        }
+        assert_eq!(found.len(), 12, "all in the picture");
         let mut random = Stream::new(seed, 95, 0, Purpose::Evaluation);
         let way = view.camera_from_lps.rotation.conjugate() * DVec3::new(random.normal(), random.normal(), 0.0).normalize();
         let said = |second: f64| {
@@ -281,5 +278,6 @@ fn beads_that_moved_together_are_said() {
         apart += said(-1.0);
     }
     println!("of {all}: said of {together} that moved together, of {apart} that did not");
-    assert!(all >= 20 && 10 * together >= 9 * all && 20 * apart <= all, "{together} and {apart} of {all}");
+    // Forty have forty and none.
+    assert!(all == 10 && together >= 9 && apart == 0, "{together} and {apart} of {all}");
 }

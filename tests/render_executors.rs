@@ -35,7 +35,7 @@ fn reference(scene: &Scene) -> Vec<f32> {
 #[test]
 fn the_fast_path_stays_within_its_stated_error_of_the_reference() {
     let mut cases = 0;
-    for seed in 0..5 {
+    for seed in 0..3 {
         let scene = random(seed);
         let expected = reference(&scene);
         assert!(expected.iter().any(|value| *value > 1.0), "seed {seed}: nothing to see");
@@ -47,7 +47,7 @@ fn the_fast_path_stays_within_its_stated_error_of_the_reference() {
         assert!(worst(&wrong.pages[0].pixels, &expected) > 10.0 * cpu.stated_error, "the control");
         cases += 1;
     }
-    assert_eq!(cases, 5);
+    assert_eq!(cases, 3);
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn the_shaders_agree_with_their_twins() {
     let Some(mut vulkan) = software_vulkan() else { return };
     let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let mut cases = 0;
-    for seed in 0..3 {
+    for seed in 0..2 {
         let scene = random(seed);
         let cpu = render_on(DeviceChoice::Cpu, &scene, Quantity::LineIntegral);
         let gpu = vulkan.render(&scene, &options).expect("renders");
@@ -67,7 +67,7 @@ fn the_shaders_agree_with_their_twins() {
         assert!(worst(&gpu.pages[0].pixels, &wrong.pages[0].pixels) > Executor::Wgsl.stated_error(), "the control");
         cases += 1;
     }
-    assert_eq!(cases, 3);
+    assert_eq!(cases, 2);
 }
 
 #[test]

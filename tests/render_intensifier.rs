@@ -2,13 +2,14 @@
 
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
+use sidecarm::beads::{Bead, BeadLayout, DEFAULT_BODY};
 use sidecarm::calibrate::intensifier::measure_glare;
 use sidecarm::compare::{bead_marks, posed_scene};
 use sidecarm::geometry::{ConsoleGeometry, Distortion, Glare, Intensifier, View, homogeneous_rows, term_count};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::image::Image;
 use sidecarm::mask::Disc;
-use sidecarm::pose::{DetectorPose, Pose};
+use sidecarm::pose::{DetectorPose, Pose, Refusal, Registration};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::Scene;
@@ -62,6 +63,22 @@ fn dark_centre(page: &Image<f32>, near: DVec2, reach_px: f64) -> DVec2 {
     sum / weight
 }
 
+/// Where a pose that lists the balls as beads has their marks in the scene's view; a ball is 0.9 mm in radius.
+fn marks_of(balls: &[(DVec3, f64)], scene: &Scene) -> Vec<(DVec2, f64)> {
+    let bead = |(n, (at, _)): (usize, &(DVec3, f64))| Bead {
+        name: n.to_string(),
+        body: DEFAULT_BODY.to_owned(),
+        lps_mm: *at,
+        radius_mm: None,
+        sigma_mm: None,
+        covariance_mm2: None,
+    };
+    let layout = BeadLayout { beads: balls.iter().enumerate().map(bead).collect(), ..BeadLayout::none() };
+    let view = scene.view.expect("has one");
+    let listed = Registration::new(view.size_px, &layout).refuse(&Refusal::Fault { detail: "not looked for".to_owned() });
+    bead_marks(&listed, &view, Some(scene), |_| Some(0.9))
+}
+
 #[test]
 fn shadows_fall_where_the_distortion_puts_them() {
     let places = [
@@ -79,7 +96,7 @@ fn shadows_fall_where_the_distortion_puts_them() {
         let options = Options { quantity: Quantity::Intensity, reference: true, ..Options::default() };
         renderer.render(&scene, &options).expect("renders")
     };
-    let marks = bead_marks(balls.iter().map(|(at, radius)| (*at, Some(*radius))), &scene.view.expect("has one"), Some(&scene));
+    let marks = marks_of(&balls, &scene);
     let (mut moved, mut checked) = (0.0f64, 0);
     for rendered in [render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity), reference()] {
         let page = &rendered.pages[0];
@@ -242,9 +259,7 @@ fn a_part_of_the_picture_is_distorted_as_it_is_in_the_whole() {
         }
     }
     assert!(compared > 13_000, "{compared} of 15600 pixels");
-    let marks = |scene: &Scene| {
-        bead_marks(balls.iter().map(|(at, radius)| (*at, Some(*radius))), &scene.view.expect("has one"), Some(scene))
-    };
+    let marks = |scene: &Scene| marks_of(&balls, scene);
     let (in_part, in_whole) = (marks(&part), marks(&whole));
     assert_eq!((in_part.len(), in_whole.len()), (3, 3));
     for (part, whole) in in_part.iter().zip(&in_whole) {

@@ -240,6 +240,13 @@ fn full_chain() -> Scene {
 #[test]
 fn an_image_does_not_depend_on_threads() {
     let scene = full_chain();
+    let mut renderer = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("cpu");
+    // What this machine costs is measured for a number of threads and kept in the user's folder: not for those of a test.
+    renderer.plan(&scene, &Options::default()).expect("a plan");
+    let mut page = |scene: &Scene, quantity: Quantity| {
+        let rendered = renderer.render(scene, &Options { quantity, ..Options::default() });
+        rendered.expect("renders").pages.remove(0)
+    };
     let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
     let mut cases = 0;
     for quantity in [Quantity::Intensity, Quantity::LineIntegral, Quantity::Counts] {

@@ -18,7 +18,7 @@ use sidecarm::scene::model::{Matter, Mesh, Shape, Solid};
 use sidecarm::scene::optics::{Field, Heel, Towards};
 use sidecarm::scene::physics::{Material, Spectrum};
 
-use crate::render_scenes::{With, cuboid, empty, placed, solids, sphere, volume, worst};
+use crate::render_scenes::{With, cuboid, empty, placed, solids, spectrum, sphere, volume, worst};
 
 const MATERIALS: [&str; 5] = ["soft_tissue", "bone_cortical", "steel_316l", "titanium", "water"];
 const MIDDLE: DVec3 = DVec3::new(0.0, 0.0, 600.0);
@@ -114,18 +114,16 @@ fn by(renderer: &mut Renderer, scene: &Scene, plan: &Plan, truth: &[f32]) -> Ach
 }
 
 /// A 1.6 mm wire across a pelvis, with 15 ms to spend, was stated to be off by 9.8e-2 and was off by 4.6e-1: thirty-six pilot blocks had
-/// not met it.
+/// not met it. The control: plans for wires and tubes without their full tiles are what went wrong.
 #[test]
 fn the_stated_error_holds_where_pixels_are_skipped() {
-    let mut skipped = 0;
-    for (name, scene) in cases() {
+    let explicit = |step_px| Goal::Explicit { sampling: Sampling::ExactSlabs, energies: Some(1e-4), step_px };
+    let (mut skipped, mut broken) = (0, 0);
+    for (index, (name, scene)) in cases().into_iter().enumerate() {
         let mut renderer = cpu();
         let truth = truth(&mut renderer, &scene);
-        for goal in [
-            Goal::BudgetMs(1e-3),
-            Goal::Explicit { sampling: Sampling::ExactSlabs, energies: Some(1e-4), step_px: 2 },
-            Goal::Explicit { sampling: Sampling::ExactSlabs, energies: Some(1e-4), step_px: 4 },
-        ] {
+        // The coarsest for all of them; for a time, and finer, by turns.
+        for goal in [explicit(4), if index % 2 == 0 { Goal::BudgetMs(1e-3) } else { explicit(2) }] {
             let options = Options { quantity: QUANTITY, goal: Some(goal), ..Options::default() };
             let plan = renderer.plan(&scene, &options).expect("a plan");
             let achieved = by(&mut renderer, &scene, &plan, &truth);
@@ -135,24 +133,14 @@ fn the_stated_error_holds_where_pixels_are_skipped() {
             assert!(!is_told || plan.step_px > 1 && plan.full_tiles.is_some(), "{name}, {goal:?}: pixels are skipped");
             assert!(achieved.error <= plan.stated_error, "{name}, {goal:?}: stated {:.1e}, {achieved:?}", plan.stated_error);
             skipped += usize::from(plan.step_px > 1);
+            if goal == explicit(4) && index < 4 {
+                let without = by(&mut renderer, &scene, &Plan { full_tiles: None, ..plan.clone() }, &truth);
+                println!("{name}: without full tiles {without:?}");
+                broken += usize::from(!(without.error <= plan.stated_error));
+            }
         }
     }
-    assert!(skipped >= 20, "{skipped}");
-}
-
-/// The control: the same plans without their full tiles are what went wrong.
-#[test]
-fn without_full_tiles_a_wire_breaks_the_stated_error() {
-    let mut broken = 0;
-    for (name, scene) in cases().into_iter().take(4) {
-        let mut renderer = cpu();
-        let truth = truth(&mut renderer, &scene);
-        let goal = Some(Goal::Explicit { sampling: Sampling::ExactSlabs, energies: Some(1e-4), step_px: 4 });
-        let plan = renderer.plan(&scene, &Options { quantity: QUANTITY, goal, ..Options::default() }).expect("a plan");
-        let without = by(&mut renderer, &scene, &Plan { full_tiles: None, ..plan.clone() }, &truth);
-        println!("{name}: stated {:.1e}, without full tiles {without:?}", plan.stated_error);
-        broken += usize::from(!(without.error <= plan.stated_error));
-    }
+    assert!(skipped >= 15, "{skipped}");
     assert!(broken >= 2, "{broken} of 4");
 }
 
@@ -301,6 +289,8 @@ fn what_was_fitted_while_waiting_serves_other_views_and_a_kept_plan_many() {
 fn trade_judges_before_the_panel_and_says_so() {
     let (_, mut plain) = cases().remove(0);
     plain.view = plain.view.map(|view| View { size_px: [40, 32], ..view });
+    // Few energies, which need no fit.
+    plain.beam.spectrum = spectrum(&[(40.0, 1.0), (60.0, 2.0), (90.0, 1.0)]);
     let mut panelled = plain.clone();
     panelled.detector.panel.blur_fwhm_mm = 4.0;
     panelled.beam.shape.field = Some(Field::Circle { diameter_mm: 30.0, centre_mm: DVec2::ZERO });

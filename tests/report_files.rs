@@ -44,6 +44,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
         let picture = strip(&StripInput {
             acquired: &frame,
             pictures: None,
+            masks: None,
             without: pair.reason.as_deref(),
             marks: None,
             standing: pair.standing(),
@@ -82,6 +83,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
     let picture = strip(&StripInput {
         acquired: &frame,
         pictures: Some(&*compared.pictures),
+        masks: None,
         without: None,
         marks: None,
         standing: pair.standing(),
@@ -282,6 +284,7 @@ fn a_strip_shows_four_panels_and_a_frame_without_a_drr_stands_there_large() {
     let alone = strip(&StripInput {
         acquired: &frame,
         pictures: None,
+        masks: None,
         without: Some("no pose"),
         marks: None,
         standing: Standing::NoPose,
@@ -293,12 +296,14 @@ fn a_strip_shows_four_panels_and_a_frame_without_a_drr_stands_there_large() {
     let compared = compare(&CompareInput::new(&frame, &simulated)).expect("comparable");
     let full = strip(&StripInput {
         pictures: Some(&*compared.pictures),
+        masks: None,
         without: None,
         marks: None,
         standing: Standing::Accepted,
         ..StripInput {
             acquired: &frame,
             pictures: None,
+            masks: None,
             without: None,
             marks: None,
             standing: Standing::Accepted,

@@ -208,10 +208,10 @@ fn a_plan_for_kept_air_says_how_it_is_cast_and_its_image_is_as_exact_as_stated()
         let objects = if ball_first { [&ball, &ct] } else { [&ct, &ball] };
         let text = json!({
             "objects": objects,
-            "view": {"size_px": [96, 96], "intrinsics": [[500, 0, 47.5], [0, 500, 47.5], [0, 0, 1]],
+            "view": {"size_px": [64, 64], "intrinsics": [[333, 0, 31.5], [0, 333, 31.5], [0, 0, 1]],
                      "camera_from_lps": [[0, 1, 0, 38], [0, 0, -1, 38], [-1, 0, 0, 400], [0, 0, 0, 1]]},
             "beam": {"tube_kvp": 80, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
-            "detector": {"response": "energy", "pitch_mm": 2.0}
+            "detector": {"response": "energy", "pitch_mm": 3.0}
         });
         scene::load_text(&text.to_string(), &folder.path().join("scene.json"), true, &Reporter::silent()).expect("good")
     };
@@ -226,7 +226,7 @@ fn a_plan_for_kept_air_says_how_it_is_cast_and_its_image_is_as_exact_as_stated()
     let in_slabs = |sampling: Sampling| matches!(sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
     let said = "not in slabs, because rays meet another volume or kept air";
     let slabs = Goal::Explicit { sampling: Sampling::ExactSlabs, energies: None, step_px: 1 };
-    let mut cases = 0;
+    let (mut cases, mut truths) = (0, Vec::new());
     for ball_first in [true, false] {
         let (kept, ambient) = (scene("keep", ball_first), scene("ambient", ball_first));
         let (truth, _) = page(&kept, &yardstick);
@@ -241,10 +241,10 @@ fn a_plan_for_kept_air_says_how_it_is_cast_and_its_image_is_as_exact_as_stated()
         }
         let (_, plan) = page(&ambient, &Options { quantity, goal: Some(slabs), ..Options::default() });
         assert!(in_slabs(plan.sampling) && !plan.explain().contains(said), "control, without air: {}", plan.explain());
+        truths.push(truth);
     }
     assert_eq!(cases, 6);
-    let balls = [true, false].map(|ball_first| page(&scene("keep", ball_first), &yardstick).0);
-    assert!(worst(&balls[0], &balls[1]) > 1e-2, "control: which is first makes another picture");
+    assert!(worst(&truths[0], &truths[1]) > 1e-2, "control: which is first makes another picture");
 }
 
 /// A label volume of the chest: lung 1, tissue 2, with a table of names in its header.

@@ -6,7 +6,7 @@ use std::process::Command;
 use dicom_core::VR;
 use dicom_dictionary_std::tags;
 use glam::{DAffine3, DVec3};
-use serde_json::{Value, json};
+use serde_json::json;
 use sidecarm::image::read_tiff_f32;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{VolumeFile, VolumeSource, read_volume, read_volume_facts};
@@ -122,47 +122,43 @@ fn scene(path: &Path) -> String {
         "objects": [{"ct": {"path": path}}],
         "view": {"size_px": [24, 20], "intrinsics": [[1000, 0, 11.5], [0, 1000, 9.5], [0, 0, 1]],
                  "camera_from_lps": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
-        "beam": {"tube_kvp": 80, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
+        "beam": {"mono_kev": 50, "photons_per_pixel": 1e5},
         "detector": {"pitch_mm": 2.0}
     })
     .to_string()
 }
 
-/// Rendered by the program, whose helper reads the volume; the image, and the SHA-256 of the volume that is written beside it.
-fn rendered(path: &Path, folder: &Path) -> (Vec<f32>, String) {
+/// Rendered by the program, whose helper reads the volume.
+fn rendered(path: &Path, folder: &Path) -> Vec<f32> {
     std::fs::write(folder.join("scene.json"), scene(path)).expect("written");
     let args = ["render", "scene.json", "--out", "drr.tif", "--device", "cpu", "--quantity", "line_integral"];
     let output = Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).current_dir(folder).output().expect("starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let beside: Value = serde_json::from_slice(&std::fs::read(folder.join("drr.tif.json")).expect("beside it")).expect("JSON");
-    let sha256 = beside["inputs"][1]["sha256"].as_str().expect("a hash").to_owned();
-    (read_tiff_f32(&folder.join("drr.tif")).expect("an image").remove(0).pixels, sha256)
+    read_tiff_f32(&folder.join("drr.tif")).expect("an image").remove(0).pixels
 }
 
 #[test]
 fn every_format_renders_to_the_same_image() {
+    let (folder, sample) = (tempfile::tempdir().expect("a folder"), Sample::block(oblique()));
+    let all = written_with_series(&sample, folder.path());
+    let expected = rendered(&all[0].1, folder.path());
+    assert!(expected.iter().any(|value| *value > 0.3), "there is something to see");
     let mut cases = 0;
-    for lps_from_voxel in [coronal(), oblique()] {
-        let (folder, sample) = (tempfile::tempdir().expect("a folder"), Sample::block(lps_from_voxel));
-        let all = written_with_series(&sample, folder.path());
-        let (expected, _) = rendered(&all[0].1, folder.path());
-        assert!(expected.iter().any(|value| *value > 0.3), "there is something to see");
-        for (what, path) in &all[1..] {
-            assert!(rendered(path, folder.path()).0 == expected, "{what}: bit-identical");
-            cases += 1;
-        }
-        // The control: a twentieth of a voxel to the side is another image.
-        let mut moved = sample.clone();
-        moved.lps_from_voxel.translation.x += 0.125;
-        moved.nifti(&folder.path().join("moved.nii"));
-        assert_ne!(rendered(&folder.path().join("moved.nii"), folder.path()).0, expected);
-        // The same matter counted from the other end differs by rounding alone.
-        sample.turned_round().nifti(&folder.path().join("turned.nii"));
-        let turned = rendered(&folder.path().join("turned.nii"), folder.path()).0;
-        let apart = turned.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(apart < 1e-4, "{apart}");
+    for (what, path) in &all[1..] {
+        assert!(rendered(path, folder.path()) == expected, "{what}: bit-identical");
+        cases += 1;
     }
-    assert_eq!(cases, 20);
+    assert_eq!(cases, 10);
+    // The control: a twentieth of a voxel to the side is another image.
+    let mut moved = sample.clone();
+    moved.lps_from_voxel.translation.x += 0.125;
+    moved.nifti(&folder.path().join("moved.nii"));
+    assert_ne!(rendered(&folder.path().join("moved.nii"), folder.path()), expected);
+    // The same matter counted from the other end differs by rounding alone.
+    sample.turned_round().nifti(&folder.path().join("turned.nii"));
+    let turned = rendered(&folder.path().join("turned.nii"), folder.path());
+    let apart = turned.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(apart < 1e-4, "{apart}");
 }
 
 /// The hash of a series does not hang on names, and every file of a volume counts.

@@ -166,6 +166,7 @@ fn dies(lab: &Lab, files: &[PathBuf], part: &Part) {
 #[test]
 fn a_thread_that_dies_costs_what_it_makes_and_a_replay_makes_it() {
     let Some((lab, frame, folder)) = quiet_lab("900") else { return };
+    let lab = lab.without_ct();
     let files = copies(&frame, FRAMES * PARTS.len(), &folder.path().join("copies"));
     for (part, files) in PARTS.iter().zip(files.chunks(FRAMES)) {
         dies(&lab, files, part);
@@ -213,6 +214,7 @@ fn reading_dies(lab: &Lab, files: &[PathBuf], thread: &Reading) {
 #[test]
 fn a_reading_thread_that_dies_is_said_at_once_and_is_a_loss() {
     let Some((lab, frame, folder)) = quiet_lab("900") else { return };
+    let lab = lab.without_ct();
     let files = copies(&frame, 1 + 2, &folder.path().join("copies"));
     reading_dies(&lab, &files[..1], &READINGS[0]);
     reading_dies(&lab, &files[1..], &READINGS[1]);

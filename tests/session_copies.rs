@@ -9,7 +9,7 @@ use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
 
-use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 use crate::session_names::replay_words;
 
 /// A file that did not change for so long is whole.
@@ -60,13 +60,30 @@ fn archive(from: &Path, to: &Path) {
     save(&object, to);
 }
 
-/// A session of `seconds` whose frames come into a folder of their own, which the test fills: the folder, and the session.
-fn exporting(lab: &Lab, seconds: &str) -> (PathBuf, Live) {
+/// A lab that plays a `script`, and a session whose frames come into a folder of their own, which the test fills.
+fn exporting(script: &[&str]) -> Option<(Lab, PathBuf, Live)> {
+    let lab = Lab::start(&[script, &["--faults", "none", "--await-all", "--idle-s", "300"]].concat())?.without_ct();
     let exported = lab.kit.join("exported");
     std::fs::create_dir(&exported).expect("a folder");
     let session = lab.session("exporting.json", |session| session["frames"]["folder"] = json!(exported));
-    let live = Live::launch(&session, &lab.kit.with_file_name("session"), &["--seconds", seconds]);
-    (exported, live)
+    let live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    Some((lab, exported, live))
+}
+
+/// Gives each whole frame of the lab, counted from 1, to `export` once, until there are `count` pairs; then the session ends.
+fn exported_until(lab: &Lab, live: &mut Live, count: usize, mut export: impl FnMut(usize, &Path)) -> Option<i32> {
+    let mut seen = BTreeSet::new();
+    let all = eventually(HANG_S, || {
+        for path in whole_frames(lab) {
+            if seen.insert(path.clone()) {
+                export(seen.len(), &path);
+            }
+        }
+        (live.pairs() == count).then_some(())
+    });
+    assert!(all.is_some(), "{} of {count} pairs: {}", live.pairs(), live.stderr());
+    live.signalled(Signal::INT);
+    live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr())).code()
 }
 
 /// Copies the file at `from` into `folder` so that nothing of it is to be seen before it is whole.
@@ -110,38 +127,33 @@ fn write_upon(from: &Path, to: &Path) {
 /// and not a word.
 #[test]
 fn the_same_picture_exported_again_is_said_to_be_a_copy() {
-    let Some(lab) = Lab::start(&["--duration-s", "14", "--faults", "none"]) else { return };
-    let (exported, mut live) = exporting(&lab, "24");
-    let mut seen = BTreeSet::new();
-    let ended = eventually(HANG_S, || {
-        for path in whole_frames(&lab) {
-            if seen.insert(path.clone()) {
-                match seen.len() {
-                    2 => write_upon(&path, &exported.join(path.file_name().expect("a name"))),
-                    _ => export_as_it_is(&path, &exported),
-                }
-                if seen.len() == 3 {
-                    std::thread::sleep(Duration::from_millis(700));
-                    export(&path, &exported.join("again.dcm"), "2.25.987654321", &[]);
-                }
-                if seen.len() == 4 {
-                    std::thread::sleep(Duration::from_millis(700));
-                    let kept = lab.kit.join("kept.dcm");
-                    archive(&path, &kept);
-                    std::fs::rename(kept, exported.join("kept.dcm")).expect("renamed");
-                }
-            }
+    // The last is the collimated one.
+    let script = ["--duration-s", "14", "--exposures", "5", "--stands", "1,2,3,4,7"];
+    let Some((lab, exported, mut live)) = exporting(&script) else { return };
+    let code = exported_until(&lab, &mut live, 5 + 2, |count, path| {
+        match count {
+            2 => write_upon(path, &exported.join(path.file_name().expect("a name"))),
+            _ => export_as_it_is(path, &exported),
         }
-        live.program.end(0.02)
+        if count == 3 {
+            std::thread::sleep(Duration::from_millis(700));
+            export(path, &exported.join("again.dcm"), "2.25.987654321", &[]);
+        }
+        if count == 4 {
+            std::thread::sleep(Duration::from_millis(700));
+            let kept = lab.kit.join("kept.dcm");
+            archive(path, &kept);
+            std::fs::rename(kept, exported.join("kept.dcm")).expect("renamed");
+        }
     });
-    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+    assert!(matches!(code, Some(0 | 3)), "{}", live.stderr());
     let pairs = pairs(&live.out);
-    assert_eq!(pairs.len(), seen.len() + 2, "{}", live.stderr());
+    assert_eq!(pairs.len(), 5 + 2, "{}", live.stderr());
     let copies: Vec<&Value> =
         pairs.iter().filter(|pair| pair["flags"].to_string().contains("the same picture as frame")).collect();
     assert!(copies.len() == 2 && copies.iter().all(|copy| copy["binding"] == "none"), "{copies:#?}");
     assert!(live.stderr().contains("the same picture as frame"), "{}", live.stderr());
-    // Frames whose shutters are in the picture are among them, and no writing is in those.
+    // A frame whose shutters are in the picture is among them, and no writing is in that.
     let written: Vec<&Value> = pairs.iter().filter(|pair| pair["flags"].to_string().contains("masked as writing")).collect();
     assert!(
         written.len() == 1 && written[0]["number"] == 2,
@@ -178,14 +190,16 @@ fn the_same_picture_exported_again_is_said_to_be_a_copy() {
 /// Nothing tied a frame to its exposure, every robot was drawn as in the scene file, and the session ended with "nothing was lost".
 #[test]
 fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
-    let Some(mut lab) = Lab::start(&["--duration-s", "10", "--faults", "none", "--no-counter"]) else { return };
-    let (exported, mut live) = exporting(&lab, "34");
-    assert!(lab.mock.end(HANG_S).is_some());
-    std::thread::sleep(Duration::from_secs(7));
-    for (n, path) in whole_frames(&lab).iter().take(3).enumerate() {
-        export(path, &exported.join(format!("f{n}.dcm")), &format!("2.25.{n}77"), &TIMES);
-    }
-    assert_eq!(live.program.end(HANG_S).and_then(|status| status.code()), Some(3), "{}", live.stderr());
+    let Some((lab, exported, mut live)) = exporting(&["--duration-s", "8", "--exposures", "5", "--no-counter"]) else { return };
+    assert!(eventually(HANG_S, || (whole_frames(&lab).len() == 5).then_some(())).is_some(), "{}", live.stderr());
+    // Longer than a frame may come after its exposure to be taken for that one's by its arrival.
+    std::thread::sleep(Duration::from_secs(6));
+    let code = exported_until(&lab, &mut live, 3, |count, path| {
+        if count <= 3 {
+            export(path, &exported.join(format!("f{count}.dcm")), &format!("2.25.{count}77"), &TIMES);
+        }
+    });
+    assert_eq!(code, Some(3), "{}", live.stderr());
     let pairs = pairs(&live.out);
     assert!(pairs.len() == 3 && pairs.iter().all(|pair| pair["binding"] == "none"), "{pairs:#?}");
     assert!(live.stdout().contains("not one of 3 frames could be tied"), "{}", live.stdout());
@@ -199,30 +213,24 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
 /// picture, and the session ended with "nothing was lost".
 #[test]
 fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none"]) else { return };
-    let (exported, mut live) = exporting(&lab, "24");
-    let mut seen = BTreeSet::new();
-    let ended = eventually(HANG_S, || {
-        for path in whole_frames(&lab) {
-            if seen.insert(path.clone()) {
-                let count = seen.len();
-                export(&path, &exported.join(format!("preview-{count}.dcm")), &format!("2.25.77{count}"), &TIMES);
-                std::thread::sleep(Duration::from_millis(500));
-                export_as_it_is(&path, &exported);
-                if count == 2 {
-                    // A third time: the copy of the file, and no reason to take the first for the copy of this one.
-                    std::thread::sleep(Duration::from_millis(700));
-                    export(&path, &exported.join("again.dcm"), "2.25.987654321", &[]);
-                }
-            }
+    const FRAMES: usize = 4;
+    let frames = FRAMES.to_string();
+    let Some((lab, exported, mut live)) = exporting(&["--duration-s", "12", "--exposures", &frames]) else { return };
+    let code = exported_until(&lab, &mut live, 2 * FRAMES + 1, |count, path| {
+        export(path, &exported.join(format!("preview-{count}.dcm")), &format!("2.25.77{count}"), &TIMES);
+        std::thread::sleep(Duration::from_millis(500));
+        export_as_it_is(path, &exported);
+        if count == 2 {
+            // A third time: the copy of the file, and no reason to take the first for the copy of this one.
+            std::thread::sleep(Duration::from_millis(700));
+            export(path, &exported.join("again.dcm"), "2.25.987654321", &[]);
         }
-        live.program.end(0.02)
     });
-    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+    assert!(matches!(code, Some(0 | 3)), "{}", live.stderr());
     let pairs = pairs(&live.out);
-    assert_eq!(pairs.len(), 2 * seen.len() + 1, "{}", live.stderr());
+    assert_eq!(pairs.len(), 2 * FRAMES + 1, "{}", live.stderr());
     let (copies, frames): (Vec<&Value>, Vec<&Value>) = pairs.iter().partition(|pair| copy_of(pair).is_some());
-    assert!(copies.len() == seen.len() + 1 && copies.iter().all(|copy| copy["binding"] == "none"), "{copies:#?}");
+    assert!(copies.len() == FRAMES + 1 && copies.iter().all(|copy| copy["binding"] == "none"), "{copies:#?}");
     for frame in &frames {
         assert!(frame["binding"] != "none" && frame["robot_source"] == "sensed", "{frame:#}");
     }
@@ -230,7 +238,7 @@ fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
     let numbers: BTreeSet<u64> = frames.iter().filter_map(|frame| frame["number"].as_u64()).collect();
     assert!(copies.iter().all(|copy| copy_of(copy).is_some_and(|of| numbers.contains(&of))), "{numbers:?} {copies:#?}");
     let first = copies.iter().filter(|copy| copy_of(copy) > copy["number"].as_u64());
-    assert!(first.count() + 1 >= seen.len(), "{copies:#?}");
+    assert!(first.count() + 1 >= FRAMES, "{copies:#?}");
     let again = replay_words(&live.log, &lab.kit.with_file_name("again"));
     assert_eq!(again.matches(", 0 different").count(), 3, "poses, images and scores: {again}");
 }

@@ -12,7 +12,7 @@ use crate::live_lab::{HANG_S, Lab, Live, Signal};
 /// A quiet lab, the folder that its frames are handed on into, and a session that reads it.
 fn exporting(script: &[&str]) -> Option<(Lab, PathBuf, Live)> {
     let always = ["--faults", "none", "--await-all", "--idle-s", "300"];
-    let lab = Lab::start(&[script, &always].concat())?;
+    let lab = Lab::start(&[script, &always].concat())?.without_ct();
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
     let session = lab.session("exported.json", |session| session["frames"]["folder"] = "exported".into());
@@ -22,7 +22,7 @@ fn exporting(script: &[&str]) -> Option<(Lab, PathBuf, Live)> {
 
 /// A session whose console writes 1 wherever it could count, with stamps or without.
 fn numbered_one(stamped: bool) {
-    let Some((lab, folder, mut live)) = exporting(&["--duration-s", "20"]) else { return };
+    let Some((lab, folder, mut live)) = exporting(&["--duration-s", "16"]) else { return };
     hand_on(&lab, &folder, 8, |_, mut object, to| {
         put(&mut object, tags::ACQUISITION_NUMBER, VR::IS, "1");
         put(&mut object, tags::INSTANCE_NUMBER, VR::IS, "1");

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::OnceLock;
 
 use sidecarm::record::{LogEntry, read_log, topic};
 
@@ -42,15 +43,23 @@ fn words(run: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr))
 }
 
+/// A demo's folder and what it said, run once for all tests that read what it left; `None` (said) where mock-lab was not built.
+pub fn demo() -> Option<&'static (PathBuf, Output)> {
+    static DEMO: OnceLock<Option<(PathBuf, Output)>> = OnceLock::new();
+    let run = || {
+        let lab = Path::new(env!("CARGO_TARGET_TMPDIR")).join("demo");
+        let _ = std::fs::remove_dir_all(&lab);
+        let run = sidecarm(&["demo", "--headless", "--seconds", "10", "--out", text(&lab)]);
+        assert!(run.status.success(), "{}", words(&run));
+        (lab, run)
+    };
+    DEMO.get_or_init(|| mock_is_built().then(run)).as_ref()
+}
+
 #[test]
 fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
-    if !mock_is_built() {
-        return;
-    }
+    let Some((lab, run)) = demo() else { return };
     let folder = tempfile::tempdir().expect("temporary folder");
-    let lab: PathBuf = folder.path().join("lab");
-    let run = sidecarm(&["demo", "--headless", "--seconds", "10", "--out", text(&lab)]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let session = lab.join("session");
     let pairs = json(&std::fs::read(session.join("pairs.json")).expect("pairs"));
     let pairs = pairs["pairs"].as_array().expect("a list");

@@ -92,11 +92,11 @@ fn what_a_session_says_of_a_ct_does_not_tell_its_name() {
 
 #[test]
 fn a_session_writes_no_name_of_its_files_and_a_replay_finds_them_by_content() {
-    let Some(lab) = Lab::start(&["--duration-s", "10", "--faults", "none"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "10", "--faults", "none", "--exposures", "4"]) else { return };
     let session = renamed(&lab);
     let home = tempfile::tempdir().expect("a folder");
     let out = home.path().join("session");
-    let mut live = Live::launch(&session, &out, &["--include-existing", "--seconds", "14"]);
+    let mut live = Live::launch(&session, &out, &["--include-existing", "--seconds", "10"]);
     let ended = eventually(HANG_S, || live.program.end(0.1));
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
     assert!(live.pairs() >= 3, "{} pairs: {}", live.pairs(), live.stderr());

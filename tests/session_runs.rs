@@ -30,6 +30,7 @@ fn images_of_a_run_share_their_exposure_and_have_each_its_own_time_and_robot() {
     let Some(lab) = Lab::start(&[&lab[..], &["--faults", "none", "--await-all", "--idle-s", "300"]].concat()) else {
         return;
     };
+    let lab = lab.without_ct();
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
     let session = lab.session("runs.json", |session| session["frames"]["folder"] = "exported".into());

@@ -41,7 +41,7 @@ fn ended(lab: Lab, mut live: Live, last: &str) -> Ended {
 /// Plays a session of `count` exposures, whose summary goes on at least to `last`.
 fn played(script: &[&str], count: usize, last: &str) -> Option<Ended> {
     let exposures = count.to_string();
-    let lab = Lab::start(&[script, &["--exposures", &exposures, "--await-all", "--idle-s", "300"]].concat())?;
+    let lab = Lab::start(&[script, &["--exposures", &exposures, "--await-all", "--idle-s", "300"]].concat())?.without_ct();
     let live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     wait_for_pairs(&live, count);
     live.signalled(Signal::INT);

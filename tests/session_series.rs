@@ -30,7 +30,7 @@ fn as_series(ct: &Path, folder: &Path) {
 
 #[test]
 fn a_session_with_a_series_says_nothing_of_its_patient_and_replays() {
-    let Some(lab) = Lab::start(&["--duration-s", "10", "--faults", "none"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "10", "--faults", "none", "--exposures", "4"]) else { return };
     let series = lab.kit.join("Wimmelrath");
     as_series(&lab.kit.join("ct.nii.gz"), &series);
     let mut scene: Value = serde_json::from_slice(&std::fs::read(lab.kit.join("scene.json")).expect("a scene")).expect("JSON");
@@ -43,7 +43,7 @@ fn a_session_with_a_series_says_nothing_of_its_patient_and_replays() {
     let session = lab.session("session-series.json", |session| session["scene"] = json!("scene-series.json"));
     let home = tempfile::tempdir().expect("a folder");
     let out = home.path().join("session");
-    let mut live = Live::launch(&session, &out, &["--include-existing", "--seconds", "14"]);
+    let mut live = Live::launch(&session, &out, &["--include-existing", "--seconds", "10"]);
     let ended = eventually(HANG_S, || live.program.end(0.1));
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
     assert!(live.pairs() >= 3, "{} pairs: {}", live.pairs(), live.stderr());

@@ -17,7 +17,7 @@ fn a_file_that_is_slow_to_read_is_passed_by_the_next_and_said() {
     let held = eventually(HANG_S, || readers(live.program.id()).pop()).expect("a helper stands ready");
     rustix::process::kill_process(held, Signal::STOP).expect("it is there");
     deliver(&[run], &lab);
-    let said = eventually(20.0, || live.stderr().contains("its file has been read for").then_some(()));
+    let said = eventually(20.0, || live.stderr().contains("reading its file takes long (").then_some(()));
     assert!(said.is_some(), "nobody says what is slow: {}", live.stderr());
     assert_eq!(live.heard().images, 0, "it is held");
     deliver(&[next], &lab);

@@ -23,8 +23,9 @@ fn stalls_of_a_twentieth_of_the_time_lose_and_move_nothing() {
     // A pseudo-terminal holds so much: on a machine that gives its reader no core for long, packets never get into the line.
     for attempt in 1..=3 {
         let lab =
-            ["--duration-s", "24", "--faults", "none", "--stalled", "0.05", "--seed", "7", "--await-all", "--idle-s", "300"];
+            ["--duration-s", "16", "--faults", "none", "--stalled", "0.05", "--seed", "7", "--await-all", "--idle-s", "300"];
         let Some(lab) = Lab::start(&lab) else { return };
+        let lab = lab.without_ct();
         let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
         wait_for_pairs(&live, 8);
         let signal_us = live.signalled(Signal::INT);
@@ -33,8 +34,9 @@ fn stalls_of_a_twentieth_of_the_time_lose_and_move_nothing() {
 
         let stalled = DeviceKind::ALL.map(|device| stalls(&sent, device));
         let missing = live.heard().missing(&sent, live.recording_us, signal_us);
-        assert!(stalled.iter().all(|(pauses, _)| *pauses >= 5), "{stalled:?}");
-        assert!(missing.sent > 2000 && missing.lost == 0, "{missing:?} {words}");
+        // With this seed the C-arm's fourth comes after 13 s, before the last exposure.
+        assert!(stalled.iter().all(|(pauses, _)| *pauses >= 4), "{stalled:?}");
+        assert!(missing.sent > 1500 && missing.lost == 0, "{missing:?} {words}");
         check_frames(&lab, &live);
         assert_eq!(["carm", "robot"].map(|device| steps_of(&report, device)), [Some(0); 2], "a stall is no step: {words}");
         for never in ["clock jumped", "began anew", "nothing to be used", "stands still"] {

@@ -27,6 +27,7 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
     let (duration_s, away_s) = (DURATION_S.to_string(), AWAY_S.to_string());
     let lab = ["--duration-s", &duration_s, "--faults", &faults, "--unplugged-s", &away_s, "--await-all", "--idle-s", "300"];
     let Some(lab) = Lab::start(&lab) else { return };
+    let lab = lab.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     for (device, ..) in PULLED {
         let gone = eventually(HANG_S, || behind(&lab, device).is_none().then_some(()));

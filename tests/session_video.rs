@@ -14,7 +14,7 @@ use sidecarm::acquire::{Frame, read_frames};
 use sidecarm::image::Image;
 
 use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses};
-use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, process_with};
 
 const PER_S: u64 = 15;
 
@@ -112,7 +112,7 @@ fn frames_off_a_monitor_are_bound_and_posed_as_if_they_were_sent() {
     assert!(String::from_utf8_lossy(&log).contains("video-0001"));
 }
 
-/// A device that is not there is waited for, and what was missed is a loss.
+/// A device that is not there is waited for, and what was missed is a loss; so is what reads it and dies.
 #[test]
 fn a_monitor_that_falls_silent_is_a_loss_and_comes_back() {
     let Some(lab) = Lab::start(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
@@ -129,12 +129,18 @@ fn a_monitor_that_falls_silent_is_a_loss_and_comes_back() {
     assert!(said.is_some(), "{}", live.stderr());
     pipe(&capture);
     let stop = Arc::new(AtomicBool::new(false));
-    monitor(lab.frames(), capture, [720, 480], Arc::clone(&stop));
+    monitor(lab.frames(), capture.clone(), [720, 480], Arc::clone(&stop));
     let back = eventually(HANG_S, || live.stderr().contains("the video is back").then_some(()));
     assert!(back.is_some(), "{}", live.stderr());
+    let reader = || process_with(&[capture.as_os_str().as_encoded_bytes()]);
+    let first = reader().expect("a process reads it");
+    rustix::process::kill_process(first, Signal::KILL).expect("it is there");
+    let next = eventually(HANG_S, || reader().filter(|next| *next != first));
+    assert!(next.is_some(), "{}", live.stderr());
     live.signalled(Signal::INT);
     let code = live.program.end(HANG_S).and_then(|status| status.code());
     assert_eq!(code, Some(3), "{}", live.stderr());
+    assert!(live.stderr().contains("has ended in the middle of it; it is tried again"), "{}", live.stderr());
     let report: Value = live.report().contains("no frames come of the video").into();
     assert!(report == true, "{}", live.report());
 }

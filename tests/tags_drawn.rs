@@ -186,6 +186,7 @@ impl Scene {
             lps_mm: *at,
             radius_mm: Some(0.75),
             sigma_mm: Some(0.05),
+            covariance_mm2: None,
         };
         BeadLayout { beads: self.beads.iter().enumerate().map(bead).collect(), ..BeadLayout::none() }
     }

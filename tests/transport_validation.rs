@@ -50,13 +50,13 @@ fn tg_195_case_1_half_value_layers() {
             let mut scene = scene_of(&["aluminium"], vec![Matter::Solids(vec![plate])]);
             scene.beam.spectrum = Spectrum::mono(energy_kev).expect("inside");
             // A field of 1 cm at 1 m, so that every ray crosses the plate at right angles.
-            let found = run(&scene, &view(10, 10, 1000.0), histories(1_000_000, 9, [1, 1], Estimator::Analogue));
+            let found = run(&scene, &view(10, 10, 1000.0), histories(250_000, 9, [1, 1], Estimator::Analogue));
             found.pages[Page::Primary as usize].pixels[0]
         };
-        // Half of 1e6 photons: σ = 0.0005; the tables and the report's differ by 0.3 % of the layer, 0.001.
+        // Half of 2.5e5 photons: σ = 0.001, of which four; the tables and the report's differ by 0.3 % of the layer, 0.001.
         let (half, other) = (passed(layer_mm), passed(1.03 * layer_mm));
-        assert!((half - 0.5).abs() < 0.003, "{energy_kev} keV: {half}");
-        assert!((other - 0.5).abs() > 0.003, "control: 3 % more is told apart: {other}");
+        assert!((half - 0.5).abs() < 0.005, "{energy_kev} keV: {half}");
+        assert!((other - 0.5).abs() > 0.005, "control: 3 % more is told apart: {other}");
         cases += 1;
     }
     assert_eq!(cases, 2);
@@ -89,7 +89,7 @@ fn a_grid_takes_scatter_by_its_slope() {
         let body = cuboid([0.0, 0.0, 700.0], [400.0, 400.0, 200.0], 0, 1.0);
         let mut scene = scene_of(&["water"], vec![Matter::Solids(vec![body])]);
         scene.detector.panel.grid = Some(Grid { primary_transmission: 0.7, strips });
-        run(&scene, &view(240, 240, 900.0), histories(150_000, seed, [4, 4], estimator))
+        run(&scene, &view(240, 240, 900.0), histories(75_000, seed, [4, 4], estimator))
     };
     let (none, expected) = (with(None, Estimator::Expected, 1), with(Some(strips), Estimator::Expected, 1));
     let analogue = with(Some(strips), Estimator::Analogue, 2);

@@ -11,7 +11,7 @@ use sidecarm::session::board::{BoardState, PairPictures};
 use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
 use crate::compare_synthetic::{acquired, line_integral, view};
-use crate::viewer_boards::{FOUND_PX, LANDMARK_PX, LANDMARK_PX2, TIP_PX, accepted, amber, board, refused};
+use crate::viewer_boards::{FOUND_PX, LANDMARK_PX, LANDMARK_PX2, NOW_US, TIP_PX, accepted, amber, board, line, refused};
 
 /// The size that the window opens with.
 const SIZE: [u32; 2] = [1400, 900];
@@ -114,7 +114,7 @@ impl Drawn {
 }
 
 /// The largest rectangle of gray pixels, neither ground nor words, that grows from `from`: the picture of a pane.
-fn picture_at(seen: &Image<[u8; 3]>, from: [usize; 2]) -> Rect {
+pub fn picture_at(seen: &Image<[u8; 3]>, from: [usize; 2]) -> Rect {
     let is_ground = |[r, g, b]: [u8; 3]| (r, g, b) == (0x17, 0x1b, 0x21) || (r, g, b) == (0x0f, 0x12, 0x16);
     let along = |step: [isize; 2]| {
         let mut at = from;
@@ -154,7 +154,7 @@ const RED: [u8; 3] = [240, 106, 95];
 const AMBER: [u8; 3] = [242, 184, 75];
 
 /// In the middle of the upper left picture, where no mark is.
-const IN_ACQUIRED: [usize; 2] = [560, 330];
+pub const IN_ACQUIRED: [usize; 2] = [560, 330];
 
 #[test]
 fn pictures_fill_most_of_the_window() {
@@ -188,6 +188,27 @@ fn the_state_is_told_by_its_colour_across_the_room() {
             assert_eq!(large > 15_000, colour == *own, "{own:?} {colour:?}: {large} pixels");
         }
     }
+}
+
+/// Whether a pixel is of some kind.
+type Is = fn([u8; 3]) -> bool;
+
+/// What a silent line said last stays, and must not pass for what it says.
+#[test]
+fn what_is_stale_is_gray() {
+    let Some(mut drawn) = Drawn::open() else { return };
+    let mut count = |age_us: i64, is: Is| {
+        let links = vec![line(age_us)];
+        let seen = drawn.picture(&BoardState { links, now_us: NOW_US, ..BoardState::default() });
+        let below_the_state = (110..880usize).flat_map(|row| (0..316usize).map(move |column| (column, row)));
+        below_the_state.filter(|(u, v)| is(*seen.at(*u, *v))).count()
+    };
+    // Brighter than lesser words are.
+    let bright = |pixel: [u8; 3]| pixel.iter().all(|level| *level > 160);
+    let stale = |pixel: [u8; 3]| pixel.iter().zip([0x78u8, 0x80, 0x88]).all(|(a, b)| a.abs_diff(b) < 3);
+    let [live, gone] = [20_000, 2_000_000].map(|age_us| [bright as Is, stale].map(|is| count(age_us, is)));
+    assert!(live[0] > 60 && gone[0] == 0, "values that are of now, and that are not: {live:?} {gone:?}");
+    assert!(gone[1] > live[1] + 25, "the line's dot: {live:?} {gone:?}");
 }
 
 #[test]
@@ -258,7 +279,7 @@ fn overlays_and_gray_levels_change_what_is_seen() {
 }
 
 /// Where the acquired picture shows a pixel of a frame of 310 × 240 px.
-fn on_screen(picture: Rect, [u, v]: [f64; 2]) -> Pos2 {
+pub fn on_screen(picture: Rect, [u, v]: [f64; 2]) -> Pos2 {
     picture.min + vec2((u as f32 + 0.5) / 310.0, (v as f32 + 0.5) / 240.0) * picture.size()
 }
 

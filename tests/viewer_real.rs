@@ -3,6 +3,8 @@
 
 use std::collections::BTreeSet;
 use std::io::Read;
+use std::ops::Range;
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -14,23 +16,24 @@ use crate::live_lab::{HANG_S, Lab, Live, Running, Signal, deliver, eventually, q
 use crate::log_lab::recorded;
 
 /// A screen without a monitor.
-struct Screen {
+pub struct Screen {
     server: Child,
-    display: String,
+    /// As programs are told it, `:7`.
+    pub display: String,
     /// Holds what the screen shows, as XWD.
     folder: tempfile::TempDir,
 }
 
 impl Screen {
     /// `None` (said) where there is no Xvfb.
-    fn open() -> Option<Self> {
+    pub fn open() -> Option<Self> {
         let folder = tempfile::tempdir().expect("temporary folder");
         let mut command = Command::new("Xvfb");
         // The server chooses a free number and says it; what it shows lies in a file.
         command.args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-fbdir"]).arg(folder.path());
         let server = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let Ok(mut server) = server else {
-            println!("skipped: no Xvfb on this machine; scripts/install installs it");
+            println!("skipped: no Xvfb on this machine; scripts/install --tests installs it");
             return None;
         };
         let mut told = server.stdout.take().expect("piped");
@@ -44,13 +47,35 @@ impl Screen {
         Some(Self { server, display: format!(":{number}"), folder })
     }
 
+    /// What a measurement needs.
+    pub fn required() -> Self {
+        Self::open().expect("Xvfb; scripts/install --tests installs it")
+    }
+
+    /// Where the pixels begin in the screen's file, its columns and rows, and bytes a row.
+    fn layout(head: &[u8]) -> [usize; 4] {
+        let word = |at: usize| u32::from_be_bytes(head[4 * at..][..4].try_into().expect("four bytes")) as usize;
+        // XWD: size of the header, then (from the 4th word) depth, columns, rows; bytes a row; colours of 12 bytes behind the header.
+        [word(0) + 12 * word(19), word(4), word(5), word(12)]
+    }
+
+    /// The bytes of a part of the screen, read quickly.
+    pub fn part(&self, columns: Range<usize>, rows: Range<usize>) -> Vec<u8> {
+        let file = std::fs::File::open(self.folder.path().join("Xvfb_screen0")).expect("the screen's file");
+        let mut head = [0; 80];
+        file.read_exact_at(&mut head, 0).expect("a header");
+        let [from, _, _, row_bytes] = Self::layout(&head);
+        let mut bytes = vec![0; 4 * columns.len() * rows.len()];
+        for (row, part) in rows.zip(bytes.chunks_exact_mut(4 * columns.len())) {
+            file.read_exact_at(part, (from + row * row_bytes + 4 * columns.start) as u64).expect("within the screen");
+        }
+        bytes
+    }
+
     /// What is on the screen.
     fn picture(&self) -> Image<[u8; 3]> {
         let bytes = std::fs::read(self.folder.path().join("Xvfb_screen0")).expect("the screen's file");
-        let word = |at: usize| u32::from_be_bytes(bytes[4 * at..][..4].try_into().expect("four bytes")) as usize;
-        // XWD: size of the header, then (from the 4th word) depth, columns, rows; bytes a row; colours of 12 bytes behind the header.
-        let (header, columns, rows, row_bytes, colours) = (word(0), word(4), word(5), word(12), word(19));
-        let from = header + 12 * colours;
+        let [from, columns, rows, row_bytes] = Self::layout(&bytes);
         let pixels = (0..rows).flat_map(|row| bytes[from + row * row_bytes..][..4 * columns].chunks_exact(4));
         // Blue comes first.
         let pixels = pixels.map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect();
@@ -143,56 +168,74 @@ fn a_session_that_cannot_start_leaves_no_window() {
     assert!(live.stderr().contains("there is a session in this folder already"), "{}", live.stderr());
 }
 
-/// Whether the session's newest pair has this status.
-fn newest_is(live: &Live, status: &str) -> bool {
-    let bytes = std::fs::read(live.out.join("pairs.json")).unwrap_or_default();
-    let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
-    value["pairs"].as_array().and_then(|pairs| pairs.last()).is_some_and(|pair| pair["status"] == status)
+/// Waits for the session's newest pair to be so, and to have its null where it has a DRR.
+pub fn newest(live: &Live, is_so: impl Fn(&Value) -> bool) -> Value {
+    let found = eventually(HANG_S, || {
+        let bytes = std::fs::read(live.out.join("pairs.json")).unwrap_or_default();
+        let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+        let pair = value["pairs"].as_array()?.last()?.clone();
+        let is_complete = pair["drr"].is_null() || pair["null"].as_object().is_some_and(|null| !null.is_empty());
+        (is_complete && is_so(&pair)).then_some(pair)
+    });
+    found.unwrap_or_else(|| panic!("no such pair: {}", live.stderr()))
 }
 
-/// The pictures of the README: the window of a session, of a refused exposure, of its replay, and of one that telemetry contradicts.
+/// Ends a session with its report.
+fn end(mut live: Live) {
+    live.program.signal(Signal::TERM);
+    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
+}
+
+/// The pictures of the README: the window of a session, of its replay, of an exposure that telemetry contradicts, of a refused one, and a strip.
 #[test]
 #[ignore = "makes pictures: scripts/evaluate gallery runs it"]
 fn gallery() {
-    let Some(screen) = Screen::open() else { return };
-    let Some(lab) = Lab::start(&["--duration-s", "40", "--faults", "none"]) else { return };
+    let screen = Screen::required();
+    let lab = || Lab::start(&["--duration-s", "40", "--faults", "none"]);
     let folder =
         std::env::var("SIDECARM_OUT").unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/docs/pictures").to_owned());
+    let folder = Path::new(&folder);
     // What is written is shown a moment later.
     let write = |name: &str| {
         std::thread::sleep(Duration::from_secs(1));
-        write_png_rgb(&Path::new(&folder).join(name), &screen.picture()).expect("written");
+        write_png_rgb(&folder.join(name), &screen.picture()).expect("written");
     };
-    let mut live = Live::windowed(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &screen.display);
-    let pairs = eventually(HANG_S, || (live.pairs() >= 6).then_some(()));
-    assert!(pairs.is_some(), "{}", live.stderr());
+    let Some(first) = lab() else { return };
+    let live = Live::windowed(&first.kit.join("session.json"), &first.kit.with_file_name("session"), &screen.display);
+    let accepted = newest(&live, |pair| pair["status"] == "accepted" && pair["number"].as_u64() >= Some(5));
     write("window-live.png");
-    // In the seventh exposure the collimator leaves too few beads.
-    let refused = eventually(HANG_S, || newest_is(&live, "refused").then_some(()));
-    assert!(refused.is_some(), "{}", live.stderr());
-    write("window-refused.png");
-    live.program.signal(Signal::TERM);
-    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
+    // In the seventh exposure the collimator leaves too few beads: its pose is telemetry's.
+    newest(&live, |pair| pair["status"] == "refused");
+    let log = live.log.clone();
+    let strip = live.out.join(accepted["strip"].as_str().expect("its strip"));
+    end(live);
+    std::fs::copy(strip, folder.join("strip-demo.png")).expect("copied");
 
-    let out = lab.kit.with_file_name("replayed");
-    let replay = window_of_replay(&live.log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
+    let out = first.kit.with_file_name("replayed");
+    let replay = window_of_replay(&log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
     let replayed = eventually(HANG_S, || std::fs::metadata(out.join("report.html")).ok());
     assert!(replayed.is_some(), "no report of the replay");
     write("window-replay.png");
     drop(replay);
 
-    let Some(lab) = Lab::start(&["--duration-s", "40", "--faults", "none"]) else { return };
     // The session says that the specimen lies three centimetres beside where it does.
-    let elsewhere = lab.session("elsewhere.json", |session| {
+    let Some(second) = lab() else { return };
+    let elsewhere = second.session("elsewhere.json", |session| {
         let x_mm = session["world_from_lps"][0][3].as_f64().expect("a place");
         session["world_from_lps"][0][3] = json!(x_mm + 30.0);
     });
-    let mut live = Live::windowed(&elsewhere, &lab.kit.with_file_name("elsewhere"), &screen.display);
-    let amber = eventually(HANG_S, || newest_is(&live, "accepted_telemetry_disagrees").then_some(()));
-    assert!(amber.is_some(), "{}", live.stderr());
+    let live = Live::windowed(&elsewhere, &second.kit.with_file_name("elsewhere"), &screen.display);
+    newest(&live, |pair| pair["status"] == "accepted_telemetry_disagrees");
     write("window-amber.png");
-    live.program.signal(Signal::TERM);
-    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
+    end(live);
+
+    // Nothing tells of the arm: where the beads do not tell, nothing does.
+    let Some(third) = lab() else { return };
+    let blind = third.session("blind.json", |session| drop(session.as_object_mut().expect("an object").remove("carm")));
+    let live = Live::windowed(&blind, &third.kit.with_file_name("blind"), &screen.display);
+    newest(&live, |pair| pair["status"] == "refused");
+    write("window-refused.png");
+    end(live);
 }
 
 /// Time that a process has used, in seconds.
@@ -210,7 +253,7 @@ const MOST_IDLE: f64 = 0.05;
 #[test]
 #[ignore = "a minute, on a machine that does nothing else: scripts/evaluate window runs it"]
 fn what_an_idle_window_costs() {
-    let Some(screen) = Screen::open() else { return };
+    let screen = Screen::required();
     let Some((lab, frame, folder)) = quiet_lab("300") else { return };
     let mut shares = Vec::new();
     for windowed in [false, true] {

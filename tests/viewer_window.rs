@@ -11,14 +11,14 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
 use sidecarm::session::board::{BoardState, Link, Phase};
 use sidecarm::session::edit::{BeadEdit, EditRequest};
-use sidecarm::telemetry::Sample;
-use sidecarm::timeline::NO_EXPOSURE;
+use sidecarm::telemetry::{DeviceKind, Health, RobotSample, Sample, Tendon};
+use sidecarm::timeline::{ClockEstimate, NO_EXPOSURE};
 use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
 use crate::viewer_boards::{NOW_US, accepted, amber, board, line, refused};
 
 /// A window of the size that it opens with, and what it remembers.
-fn window(board: BoardState) -> (Harness<'static>, Rc<RefCell<ViewState>>) {
+pub fn window(board: BoardState) -> (Harness<'static>, Rc<RefCell<ViewState>>) {
     let state = Rc::new(RefCell::new(ViewState::default()));
     let shared = Rc::clone(&state);
     let show = move |ui: &mut eframe::egui::Ui| draw(ui, &board, &mut shared.borrow_mut());
@@ -27,7 +27,7 @@ fn window(board: BoardState) -> (Harness<'static>, Rc<RefCell<ViewState>>) {
     (harness, state)
 }
 
-fn said(harness: &Harness) -> String {
+pub fn said(harness: &Harness) -> String {
     let words = |node: egui_kittest::Node| {
         let node = node.accesskit_node();
         node.label().or_else(|| node.value())
@@ -52,6 +52,53 @@ fn a_silent_line_looks_stale_and_a_live_one_does_not() {
     assert!(stale.contains("STALE 2.0 s") && !stale.contains("live") && !stale.contains("50 Hz"), "{stale}");
     assert!(with(Link { open: false, ..line(100_000) }).contains("unplugged"));
     assert!(with(Link { last_sample_us: None, ..line(0) }).contains("silent"));
+}
+
+/// Two ports that were swapped had "none lost": of the counters four were told.
+#[test]
+fn a_line_tells_what_went_wrong_how_its_clock_runs_and_its_joints_with_units() {
+    let with = |link: Link| texts(BoardState { links: vec![link], now_us: NOW_US, ..BoardState::default() });
+    let health = Health { frames: 900, lost: 3, wrong_device: 2, ..Health::default() };
+    let clock = ClockEstimate { offset_us: 0.0, drift_ppm: -34.5, drift_sigma_ppm: 4.75, uncertainty_us: 1_010.0, points: 900 };
+    let carm = with(Link { health, clock: Some(clock), clock_steps: 2, ..line(20_000) });
+    let quiet = with(line(20_000));
+    for words in ["900 samples, 3 lost, 2 of the other device", "clock −34.5 ± 4.8 ppm, ± 1.01 ms, 2 steps"] {
+        assert!(carm.contains(words) && !quiet.contains(words), "{words}: {carm}");
+    }
+    assert!(quiet.contains("0 samples, none lost"), "{quiet}");
+    for words in ["1020.0 mm", "90.0 kV", "28.6°", "beam off, exposure 3"] {
+        assert!(carm.contains(words), "{words}: {carm}");
+    }
+    let slack = || Tendon { position_mm: 0.0, velocity_mm_per_s: 0.0, tension_n: 2.0, current_a: 0.1 };
+    let robot = RobotSample {
+        device_us: 1,
+        sequence: 1,
+        commanded_deg: [1.0, 2.0, 3.0, 4.0, -5.5],
+        sensed_deg: None,
+        tendons: [slack(), slack()],
+        tracker_from_base: None,
+        drill_rpm: 120.0,
+        status: 0,
+    };
+    let robot = with(Link { device: DeviceKind::Robot, latest: Some(Sample::Robot(robot)), ..line(20_000) });
+    for words in ["robot live", "bend 5", "−5.5°", "120.0 rpm", "angles commanded, not sensed"] {
+        assert!(robot.contains(words), "{words}: {robot}");
+    }
+}
+
+/// What must be read across the room is written large, a long word no smaller than a short one.
+#[test]
+fn the_state_is_written_large() {
+    for (pair, words, lines) in [(accepted(1), "ACCEPTED", 1.0), (refused(1), "REFUSED", 1.0), (amber(1), "IMAGE DISAGREES", 2.0)]
+    {
+        let (harness, _) = window(board(vec![pair]));
+        let is_it = |node: &egui_kittest::Node| {
+            let node = node.accesskit_node();
+            node.label().or_else(|| node.value()).as_deref() == Some(words)
+        };
+        let height = harness.root().children_recursive().find(is_it).expect("the state").rect().height();
+        assert!(height >= 50.0 * lines, "{words}: {height} points high");
+    }
 }
 
 #[test]
@@ -118,8 +165,8 @@ fn a_backlog_a_slow_log_and_a_failed_one_are_said() {
 #[test]
 fn parts_that_take_long_are_said_each_in_a_sentence() {
     let slow = [
-        "the frame folder has not answered for 4 s: is its server or disk there? no frame is taken meanwhile",
-        "frame 7: its DRR has been made for 13 s and is not done; recording and registration go on",
+        "the frame folder does not answer (4 s so far): is its server or disk there? telemetry is recorded all the same",
+        "frame 7: making its DRR takes long (13 s so far); recording and registration go on",
     ];
     let quiet = texts(board(vec![accepted(1)]));
     let seen = texts(BoardState { slow: slow.map(str::to_owned).to_vec(), ..board(vec![accepted(1)]) });

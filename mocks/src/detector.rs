@@ -8,7 +8,18 @@ use rand_distr::{Distribution, Normal, Poisson};
 use serde_json::{Value, json};
 
 use crate::MockError;
-use crate::dicom::{FrameTags, deliver, encode};
+use crate::dicom::{BeamTags, FrameTags, deliver, encode};
+
+/// An exposure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beam {
+    /// Without X-rays 0.
+    pub mas: f64,
+    /// Tube voltage.
+    pub kvp: f64,
+    /// Filter in the beam.
+    pub copper_mm: f64,
+}
 
 /// What the panel adds up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,25 +157,28 @@ impl Panel {
 
     /// Mean quanta at a column for an exposure.
     #[must_use]
-    pub fn quanta(&self, column: usize, mas: f64, kvp: f64) -> f64 {
-        self.quanta_per_mas * mas * (kvp / 90.0).powf(2.5) * self.heel_at(column)
+    pub fn quanta(&self, column: usize, beam: &Beam) -> f64 {
+        let Beam { mas, kvp, copper_mm } = *beam;
+        // The heel's soft end loses more in copper: the field is another behind each filter.
+        let along = column as f64 / (self.size_px[0] - 1) as f64;
+        let copper = (-2.5 * copper_mm * (1.0 + 0.5 * along)).exp();
+        self.quanta_per_mas * mas * (kvp / 90.0).powf(2.5) * self.heel_at(column) * copper
     }
 }
 
 impl Made {
-    /// The `nth` frame; without X-rays for `mas` of 0.
+    /// The `nth` frame.
     #[must_use]
-    pub fn frame(&self, nth: u64, mas: f64, kvp: f64, object: Object) -> Vec<u16> {
+    pub fn frame(&self, nth: u64, beam: &Beam, object: Object) -> Vec<u16> {
         let panel = &self.panel;
         let [columns, rows] = panel.size_px;
         let mut random = ChaCha8Rng::seed_from_u64(panel.seed.wrapping_mul(1_000_003).wrapping_add(nth));
         let normal = |sigma: f64, random: &mut ChaCha8Rng| Normal::new(0.0, sigma).map_or(0.0, |n| n.sample(random));
-        let output = if mas > 0.0 { 1.0 + normal(panel.output_sigma, &mut random) } else { 0.0 };
+        let output = if beam.mas > 0.0 { 1.0 + normal(panel.output_sigma, &mut random) } else { 0.0 };
         let [mean_kev, quantum] = panel.quantum();
         let mut light = vec![0.0; columns * rows];
         for (at, value) in light.iter_mut().enumerate() {
-            let photons =
-                panel.quanta(at % columns, mas, kvp) * output * passed(object, at % columns, at / columns, panel.size_px);
+            let photons = panel.quanta(at % columns, beam) * output * passed(object, at % columns, at / columns, panel.size_px);
             // Σ E of Poisson many photons, by a count of equal quanta with the right mean and variance.
             let expected = photons * mean_kev / quantum;
             *value = quantum * if expected > 0.0 { Poisson::new(expected).map_or(0.0, |p| p.sample(&mut random)) } else { 0.0 };
@@ -247,6 +261,8 @@ pub struct Series {
     pub levels_mas: Vec<f64>,
     /// Tube voltages; every level is taken at each.
     pub kvps: Vec<f64>,
+    /// Thicknesses of a copper filter, stated by the frames; every level is taken at each. Without any, frames state no filter.
+    pub coppers_mm: Vec<f64>,
     /// Air frames per level.
     pub frames: usize,
     /// Dark frames.
@@ -264,7 +280,17 @@ const TUBE_MA: f32 = 4.0;
 /// Focal spot to panel and pixel pitch, mm.
 const GEOMETRY_MM: [f64; 2] = [1020.0, 0.194];
 
-/// Writes `air-KVP-MAS-N.dcm`, `dark-N.dcm`, `edge.dcm`, `wedge.dcm` and `truth.json` into `folder`.
+impl Series {
+    /// Voltages with their filters.
+    fn beams(&self) -> impl Iterator<Item = Beam> + '_ {
+        let coppers_mm = if self.coppers_mm.is_empty() { vec![0.0] } else { self.coppers_mm.clone() };
+        self.kvps
+            .iter()
+            .flat_map(move |kvp| coppers_mm.clone().into_iter().map(move |copper_mm| Beam { mas: 1.0, kvp: *kvp, copper_mm }))
+    }
+}
+
+/// Writes `air-KVP-MAS-N.dcm` (`air-KVP-COPPER-MAS-N.dcm` with filters), `dark-N.dcm`, `edge.dcm`, `wedge.dcm` and `truth.json` into `folder`.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -272,9 +298,12 @@ pub fn write(folder: &Path, panel: &Panel, series: &Series) -> Result<(), MockEr
     std::fs::create_dir_all(folder).map_err(MockError::io(folder.display()))?;
     let made = panel.make();
     let mut nth = 0u64;
-    let mut put = |name: String, mas: f64, kvp: f64, object: Object| -> Result<PathBuf, MockError> {
+    let [half_width_mm, half_height_mm] = panel.size_px.map(|side| 0.5 * side as f64 * GEOMETRY_MM[1]);
+    let field_mm = [-half_width_mm, -half_height_mm, half_width_mm, half_height_mm];
+    let mut put = |name: String, beam: Beam, object: Object| -> Result<PathBuf, MockError> {
         nth += 1;
-        let values = made.frame(nth, mas, kvp, object);
+        let values = made.frame(nth, &beam, object);
+        let Beam { mas, kvp, copper_mm } = beam;
         let tags = FrameTags {
             size_px: panel.size_px,
             pitch_mm: GEOMETRY_MM[1],
@@ -285,33 +314,36 @@ pub fn write(folder: &Path, panel: &Panel, series: &Series) -> Result<(), MockEr
             acquired_us: Some(1_795_237_262_250_000 + 1_000_000 * nth as i64),
             exposure_counter: Some(nth as u32),
             instance: nth as u32,
-            beam: None,
+            beam: (!series.coppers_mm.is_empty()).then_some(BeamTags { filter_mm: [0.0, copper_mm], field_mm }),
         };
         let path = folder.join(name);
         deliver(&path, &encode(&tags, &values)?)?;
         Ok(path)
     };
     for dark in 0..series.darks {
-        put(format!("dark-{:02}.dcm", dark + 1), 0.0, 0.0, Object::Nothing)?;
+        put(format!("dark-{:02}.dcm", dark + 1), Beam { mas: 0.0, kvp: 0.0, copper_mm: 0.0 }, Object::Nothing)?;
     }
     let bead = Object::Bead([0.3 * panel.size_px[0] as f64, 0.4 * panel.size_px[1] as f64, 3.5]);
-    for kvp in &series.kvps {
+    for beam in series.beams() {
         let mut beads = series.beads;
-        for mas in series.levels_mas.iter().rev() {
+        let Beam { kvp, copper_mm, .. } = beam;
+        let copper = if series.coppers_mm.is_empty() { String::new() } else { format!("{copper_mm:.2}cu-") };
+        for mas in series.levels_mas.iter().copied().rev() {
             for frame in 0..series.frames {
                 let object = if beads > 0 { bead } else { Object::Nothing };
                 beads = beads.saturating_sub(1);
-                put(format!("air-{kvp:.0}kvp-{mas:.2}mas-{:02}.dcm", frame + 1), *mas, *kvp, object)?;
+                put(format!("air-{kvp:.0}kvp-{copper}{mas:.2}mas-{:02}.dcm", frame + 1), Beam { mas, ..beam }, object)?;
             }
         }
     }
+    let first = series.beams().next().unwrap_or(Beam { mas: 0.0, kvp: 90.0, copper_mm: 0.0 });
     if series.edge {
         let most = series.levels_mas.iter().copied().fold(0.0, f64::max);
-        put("edge.dcm".to_owned(), most, series.kvps[0], Object::Edge(3.0))?;
+        put("edge.dcm".to_owned(), Beam { mas: most, ..first }, Object::Edge(3.0))?;
     }
     if series.wedge {
         let level = series.levels_mas.len() / 2;
-        put("wedge.dcm".to_owned(), series.levels_mas[level], series.kvps[0], Object::Wedge)?;
+        put("wedge.dcm".to_owned(), Beam { mas: series.levels_mas[level], ..first }, Object::Wedge)?;
     }
     let path = folder.join("truth.json");
     std::fs::write(&path, format!("{:#}\n", truth(panel, &made, series))).map_err(MockError::io(path.display()))
@@ -326,14 +358,13 @@ fn truth(panel: &Panel, made: &Made, series: &Series) -> Value {
         values[values.len() / 2]
     };
     let beams: Vec<Value> = series
-        .kvps
-        .iter()
-        .map(|kvp| {
-            let photons: Vec<f64> = (0..columns).map(|column| panel.quanta(column, 1.0, *kvp)).collect();
+        .beams()
+        .map(|beam| {
+            let photons: Vec<f64> = (0..columns).map(|column| panel.quanta(column, &beam)).collect();
             let values = (0..columns * rows).map(|at| panel.gain * made.gain[at] * mean_kev * photons[at % columns]).collect();
             let photons_per_mas = median(photons);
             json!({
-                "tube_kvp": kvp, "photons_per_pixel_per_mas": photons_per_mas,
+                "tube_kvp": beam.kvp, "copper_mm": beam.copper_mm, "photons_per_pixel_per_mas": photons_per_mas,
                 "quanta_per_pixel_per_mas": photons_per_mas * mean_kev / quantum, "air_value_per_mas": median(values)
             })
         })
@@ -349,13 +380,15 @@ fn truth(panel: &Panel, made: &Made, series: &Series) -> Value {
 mod tests {
     use super::*;
 
+    const FOUR_MAS: Beam = Beam { mas: 4.0, kvp: 90.0, copper_mm: 0.0 };
+
     #[test]
     fn variance_and_mean_are_what_the_panel_says() {
         let plain = Panel { pattern_sigma: 0.0, offset_sigma: 0.0, heel: 0.0, output_sigma: 0.0, ..Panel::default() };
         for (panel, unit) in
             [(plain.clone(), 1.0), (Panel { response: Response::Energy, gain: 0.037, quanta_per_mas: 200.0, ..plain }, 65.0)]
         {
-            let values = panel.make().frame(1, 4.0, 90.0, Object::Nothing);
+            let values = panel.make().frame(1, &FOUR_MAS, Object::Nothing);
             let n = values.len() as f64;
             let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / n - panel.offset;
             let variance = values.iter().map(|v| (f64::from(*v) - panel.offset - mean).powi(2)).sum::<f64>() / n;
@@ -368,7 +401,7 @@ mod tests {
     #[test]
     fn broken_pixels_are_as_many_as_asked() {
         let made = Panel { broken: 5, ..Panel::default() }.make();
-        let frame = made.frame(1, 4.0, 90.0, Object::Nothing);
+        let frame = made.frame(1, &FOUR_MAS, Object::Nothing);
         assert!(made.broken.iter().all(|kind| kind.len() == 5));
         assert!(made.broken[0].iter().all(|&at| frame[at] < 260), "dead pixels stay at the offset");
     }

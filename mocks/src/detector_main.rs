@@ -47,6 +47,9 @@ struct Args {
     /// Tube voltages.
     #[arg(long, value_delimiter = ',', default_values_t = [90.0])]
     kvps: Vec<f64>,
+    /// Thicknesses of a copper filter, mm, each at every voltage; the frames state them. Without it they state no filter.
+    #[arg(long, value_delimiter = ',')]
+    coppers_mm: Vec<f64>,
     /// Air frames per exposure.
     #[arg(long, default_value_t = 4)]
     frames: usize,
@@ -84,6 +87,7 @@ fn main() -> ExitCode {
     let series = Series {
         levels_mas: args.levels_mas,
         kvps: args.kvps,
+        coppers_mm: args.coppers_mm,
         frames: args.frames,
         darks: args.darks,
         beads: args.beads,

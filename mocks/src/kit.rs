@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MockError;
+use crate::drawn;
 use crate::kinematics::{CarmGeometry, DRILL_LENGTH_MM, camera_from_lps, pieces, projection};
 use crate::lab::{Displacement, Exposure, Lab};
 use crate::matrix::{Mat4, dot, mul, point, rotation, translation};
@@ -60,14 +61,17 @@ fn displaced(world_from_lps: &Mat4, by: &Displacement) -> Mat4 {
     mul(&mul(&translation(x, y, z), world_from_lps), &turned)
 }
 
-/// Writes the lab kit into `folder`: CT, beads, scene, calibrations, session and truth.
+/// Writes the lab kit into `folder`: CT, beads, scene, calibrations, session and truth; C-arm and robot where `with` says so. A CT is taken
+/// from `drawn` where it was kept there.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with_carm: bool, with_robot: bool) -> Result<(), MockError> {
+pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with: [bool; 2], drawn: Option<&Path>) -> Result<(), MockError> {
     let lab = script.lab;
     std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
-    voxelise(phantom).write(&folder.join("ct.nii.gz"))?;
+    let ct = drawn::once(drawn, &format!("{phantom:?}"), || voxelise(phantom).packed())?;
+    let path = folder.join("ct.nii.gz");
+    std::fs::write(&path, ct).map_err(MockError::io(path.display()))?;
     put(folder, "carm.json", &lab.carm)?;
     put(folder, "robot.json", &lab.robot)?;
     put(folder, "detector.json", &detector(lab))?;
@@ -76,6 +80,7 @@ pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with_carm: bool,
     put(folder, "k.json", &k)?;
     put(folder, "scene.json", &scene)?;
     put(folder, "scene-001.json", &of_first_frame(lab, &arm(lab)?, scene, &k))?;
+    let [with_carm, with_robot] = with;
     let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
     let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
     let session = json!({

@@ -14,6 +14,7 @@ pub mod kinematics;
 pub mod phantom;
 pub mod radiograph;
 pub mod voxels;
+pub mod drawn;
 pub mod dicom;
 pub mod tag_lie;
 pub mod detector;

@@ -10,6 +10,7 @@ use serde_json::json;
 
 use mock_lab::MockError;
 use mock_lab::dicom::{BeamTags, FrameTags, deliver, encode};
+use mock_lab::drawn;
 use mock_lab::fault::FaultKind;
 use mock_lab::kinematics::camera_from_lps;
 use mock_lab::kit::{arm, frame_name, true_world_from_lps, write};
@@ -121,6 +122,10 @@ struct Args {
     /// Only write the kit and the frames; no ports, no real time.
     #[arg(long)]
     kit_only: bool,
+    /// A CT and pictures that lie in this folder are not drawn again, and those that are drawn are kept there, for other runs of this very
+    /// program.
+    #[arg(long, value_name = "FOLDER")]
+    drawn: Option<PathBuf>,
 }
 
 fn device(name: &str) -> Result<Device, String> {
@@ -193,7 +198,7 @@ fn run(args: &Args) -> Result<(), MockError> {
     let phantom = Phantom::embedded()?;
     refuse_old_frames(&args.out)?;
     let script = Script { lab: &lab, duration_s: args.duration_s, exposures: args.exposures, counter: !args.no_counter };
-    write(&args.out, &script, &phantom, !args.no_carm, !args.no_robot)?;
+    write(&args.out, &script, &phantom, [!args.no_carm, !args.no_robot], args.drawn.as_deref())?;
     let frames = draw_frames(args, &script, &phantom)?;
     let session = args.out.join("session.json");
     if args.kit_only {
@@ -332,8 +337,12 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
         };
         let mut bodies = phantom.tissue();
         bodies.extend(phantom.metal(&exposure.control_deg));
-        let image = take(&shot, &bodies, &physics);
-        let values: Vec<u16> = image.iter().map(|v| (v * lab.air_value).round().clamp(0.0, 65_535.0) as u16).collect();
+        let key = format!("{shot:?} {bodies:?} {}", lab.air_value);
+        let bytes = drawn::once(args.drawn.as_deref(), &key, || {
+            let value = |v: &f64| (v * lab.air_value).round().clamp(0.0, 65_535.0) as u16;
+            Ok(take(&shot, &bodies, &physics).iter().flat_map(|v| value(v).to_le_bytes()).collect())
+        })?;
+        let values: Vec<u16> = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
         let told = told(args, script, index);
         let mut tags = FrameTags {
             size_px: arm.size_px,

@@ -1,7 +1,6 @@
 //! The specimen's CT: the phantom without beads and robot, averaged over each voxel, as NIfTI.
 
 use std::io::Write;
-use std::path::Path;
 
 use crate::MockError;
 use crate::matrix::Vec3;
@@ -97,11 +96,11 @@ impl Grid<'_> {
 }
 
 impl Ct {
-    /// Writes `path` as gzipped NIfTI-1, RAS sform (x and y change sign).
+    /// A gzipped NIfTI-1 file, RAS sform (x and y change sign).
     ///
     /// # Errors
-    /// When the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), MockError> {
+    /// When it cannot be packed.
+    pub fn packed(&self) -> Result<Vec<u8>, MockError> {
         let mut header = vec![0u8; 352];
         let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
         put(0, &348i32.to_le_bytes());
@@ -120,13 +119,10 @@ impl Ct {
         let rows = [[-sx, 0.0, 0.0, -x], [0.0, -sy, 0.0, -y], [0.0, 0.0, sz, z]];
         rows.iter().flatten().enumerate().for_each(|(i, value)| put(280 + 4 * i, &(*value as f32).to_le_bytes()));
         put(344, b"n+1\0");
-        let file = std::fs::File::create(path).map_err(MockError::io(path.display()))?;
-        let mut zipped = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
+        let mut zipped = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         let voxels: Vec<u8> = self.hu.iter().flat_map(|value| value.to_le_bytes()).collect();
-        zipped.write_all(&header).map_err(MockError::io(path.display()))?;
-        zipped.write_all(&voxels).map_err(MockError::io(path.display()))?;
-        zipped.finish().map_err(MockError::io(path.display()))?;
-        Ok(())
+        zipped.write_all(&header).and_then(|()| zipped.write_all(&voxels)).map_err(MockError::io("the CT"))?;
+        zipped.finish().map_err(MockError::io("the CT"))
     }
 }
 

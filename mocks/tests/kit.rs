@@ -22,7 +22,7 @@ fn the_kit_is_whole_and_its_files_agree() {
     let folder = folder("kit");
     let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
     let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-    write(&folder, &script, &phantom, true, false).expect("written");
+    write(&folder, &script, &phantom, [true, false], None).expect("written");
     let session = json(&folder, "session.json");
     assert!(session["robot"].is_null(), "no robot was asked for");
     for name in [&session["carm"]["calibration"], &session["scene"], &session["beads"]] {
@@ -113,7 +113,7 @@ fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
     let folder = folder("moved");
     let truth_of = |lab: &Lab| {
         let script = Script { lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-        write(&folder, &script, &phantom, true, true).expect("written");
+        write(&folder, &script, &phantom, [true; 2], None).expect("written");
         json(&folder, "truth.json")
     };
     let (before, now) = (truth_of(&unmoved), truth_of(&moved));

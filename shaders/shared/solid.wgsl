@@ -1,8 +1,7 @@
-// Analytic shapes: where a ray runs inside them.
+// Analytic shapes: where a ray runs inside them; by the chords of the shader that includes it.
 
 const ELLIPSOID: u32 = 0u;
 const CUBOID: u32 = 1u;
-const FAR: f32 = 1e30;
 
 struct Solid {
     row_x: vec4<f32>,        // xyz: row of local_from_camera; w: local coordinate of `centre`
@@ -15,37 +14,6 @@ struct Solid {
     material: u32,
     density_g_per_cm3: f32,
     root: u32,               // of a mesh, among the nodes
-}
-
-// The point of closest approach comes first, so that the discriminant loses nothing to the distance.
-fn quadric(p: vec3<f32>, q: vec3<f32>, radius: f32) -> vec2<f32> {
-    let qq = dot(q, q);
-    if qq <= 0.0 {
-        return select(vec2<f32>(FAR, -FAR), vec2<f32>(-FAR, FAR), dot(p, p) < radius * radius);
-    }
-    let middle = -dot(p, q) / qq;
-    let nearest = p + q * middle;
-    let discriminant = radius * radius - dot(nearest, nearest);
-    if !(discriminant > 0.0) { return vec2<f32>(FAR, -FAR); }
-    let half = sqrt(discriminant / qq);
-    return vec2<f32>(middle - half, middle + half);
-}
-
-fn slab(p: f32, q: f32, lo: f32, hi: f32) -> vec2<f32> {
-    if q == 0.0 {
-        return select(vec2<f32>(FAR, -FAR), vec2<f32>(-FAR, FAR), p >= lo && p <= hi);
-    }
-    let a = (lo - p) / q;
-    let b = (hi - p) / q;
-    return vec2<f32>(min(a, b), max(a, b));
-}
-
-fn meet(a: vec2<f32>, b: vec2<f32>) -> vec2<f32> {
-    return vec2<f32>(max(a.x, b.x), min(a.y, b.y));
-}
-
-fn cuboid(p: vec3<f32>, q: vec3<f32>, lo: vec3<f32>, hi: vec3<f32>) -> vec2<f32> {
-    return meet(meet(slab(p.x, q.x, lo.x, hi.x), slab(p.y, q.y, lo.y, hi.y)), slab(p.z, q.z, lo.z, hi.z));
 }
 
 // Two intervals (xy, zw) of tau; empty where the end is not beyond the start.

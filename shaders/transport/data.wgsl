@@ -59,7 +59,8 @@ struct CellBox {
     low: vec3<f32>,
     content: u32,               // kind in the lower 2 bits; above them a uniform's material, or where a mixture's ranges begin in `indices`
     high: vec3<f32>,
-    amount: u32,                // bits of a uniform's density; of a mixture 8 bits of ranges, 8 of flags (1 keeps air, 2 is full), 16 of things
+    amount: u32,                // bits of a uniform's density; of a mixture 8 bits of ranges, 8 of flags (1 keeps air, 2 is full, 4 some are dense:
+                                // then the rest's two words, how many, and which follow in `indices`), 16 of things
     x_below: u32,
     x_above: u32,
     y_below: u32,

@@ -4,6 +4,7 @@ const OUTSIDE: u32 = 0xffffffffu;
 const SEVERAL: u32 = 0xfffffffeu;
 const FAR_MM: f32 = 1e30;
 const MOST_STEPS: u32 = 65536u;
+override NEAR_MM: f32;        // what dense shapes are taken to be thicker by, twice
 
 const EMPTY: u32 = 0u;
 const UNIFORM: u32 = 1u;
@@ -117,6 +118,31 @@ fn attenuation_at(content: u32, amount: u32, point: vec3<f32>) -> f32 {
     return parts_per_mm;
 }
 
+// Where the ray runs through the next of the dense shapes that `list` counts and names, lumens included: the first stretch that does not end
+// behind it, mm ahead; empty where there is none.
+fn next_stretch(list: u32) -> vec2<f32> {
+    var next = vec2<f32>(FAR_MM, -FAR_MM);
+    let at = vec4<f32>(ray.position, 1.0);
+    let along = vec4<f32>(ray.direction, 0.0);
+    for (var n = 1u; n <= indices[list]; n += 1u) {
+        let thing = indices[list + n];
+        let x = things[thing].row_x;
+        let y = things[thing].row_y;
+        let z = things[thing].row_z;
+        let p = vec3<f32>(dot(x, at), dot(y, at), dot(z, at));
+        let q = vec3<f32>(dot(x, along), dot(y, along), dot(z, along));
+        let shape = things[thing].shape.xyz;
+        var one: vec2<f32>;
+        switch things[thing].kind {
+            case 0u: { one = quadric(p / shape, q / shape, 1.0); }
+            case 1u: { one = cuboid(p, q, -shape, shape); }
+            default: { one = meet(quadric(vec3<f32>(p.xy, 0.0), vec3<f32>(q.xy, 0.0), shape.y), slab(p.z, q.z, 0.0, shape.x)); }
+        }
+        if one.y > one.x && one.y > -NEAR_MM && one.x < next.x { next = one; }
+    }
+    return next;
+}
+
 // Walks the ray over `path_mm` or to the scene's end. A flight ends at a collision with what is `struck`; of a beam `arrived` is an unbiased
 // estimate of the share that comes to the end. Both meet tentative collisions in mixtures: a flight at the majorant, a beam above the minorant.
 fn walk(is_flight: bool) -> u32 {
@@ -128,9 +154,10 @@ fn walk(is_flight: bool) -> u32 {
     var end = LOST;
     for (var steps = 0u; steps < MOST_STEPS; steps += 1u) {
         let exit = exit_of(inverse);
-        let step_mm = min(exit.x, left_mm);
-        let content = boxes[ray.in_box].content;
-        let amount = boxes[ray.in_box].amount;
+        let whole_mm = min(exit.x, left_mm);
+        var step_mm = whole_mm;
+        var content = boxes[ray.in_box].content;
+        var amount = boxes[ray.in_box].amount;
         var flown_mm = -1.0;
         if (content & 3u) == UNIFORM {
             let per_mm = bitcast<f32>(amount) * medium[content >> 2u];
@@ -144,6 +171,18 @@ fn walk(is_flight: bool) -> u32 {
                 next_at -= all_of_it;
             }
         } else if (content & 3u) != EMPTY {
+            if (amount & 1024u) != 0u {
+                // Where the ray runs through none of the dense shapes there is no more than the rest.
+                let rest = (content >> 2u) + 3u * (amount & 255u) + (amount >> 16u);
+                let next = next_stretch(rest + 2u);
+                if next.x > 3.0 * NEAR_MM {
+                    content = indices[rest];
+                    amount = indices[rest + 1u];
+                    step_mm = min(step_mm, next.x - 2.0 * NEAR_MM);
+                } else {
+                    step_mm = min(step_mm, next.y + 2.0 * NEAR_MM);
+                }
+            }
             let bounds = bounds_of(content >> 2u, amount);
             let least = select(bounds.x, 0.0, is_flight);
             depth += least * step_mm;
@@ -172,6 +211,7 @@ fn walk(is_flight: bool) -> u32 {
         ray.position += ray.direction * step_mm;
         left_mm -= step_mm;
         if !(left_mm > 0.0) || share == 0.0 { end = ARRIVED; break; }
+        if step_mm < whole_mm { continue; }
         let next = across(inverse, u32(exit.y));
         if next == OUTSIDE { end = ARRIVED; break; }
         ray.in_box = next;

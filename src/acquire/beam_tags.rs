@@ -56,6 +56,51 @@ pub enum FilterMaterial {
     Silver,
 }
 
+impl FilterMaterial {
+    /// All of them.
+    pub const ALL: [Self; 8] =
+        [Self::Aluminum, Self::Copper, Self::Molybdenum, Self::Rhodium, Self::Niobium, Self::Europium, Self::Lead, Self::Silver];
+
+    /// Its name and its symbol, as scenes and commands have them.
+    #[must_use]
+    pub fn names(self) -> [&'static str; 2] {
+        match self {
+            Self::Molybdenum => ["molybdenum", "Mo"],
+            Self::Aluminum => ["aluminium", "Al"],
+            Self::Copper => ["copper", "Cu"],
+            Self::Rhodium => ["rhodium", "Rh"],
+            Self::Niobium => ["niobium", "Nb"],
+            Self::Europium => ["europium", "Eu"],
+            Self::Lead => ["lead", "Pb"],
+            Self::Silver => ["silver", "Ag"],
+        }
+    }
+
+    /// The one of this name or symbol, in any case and either spelling.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        let name = name.trim();
+        let own = |material: &Self| material.names().iter().any(|own| own.eq_ignore_ascii_case(name));
+        let american = name.eq_ignore_ascii_case("aluminum").then_some(Self::Aluminum);
+        american.or_else(|| Self::ALL.into_iter().find(own))
+    }
+}
+
+/// Copper beyond this is another filter: it changes the spectrum visibly, and is half a step of the filters of C-arms, which are of tenths of a
+/// millimetre.
+pub const COPPER_APART_MM: f64 = 0.05;
+/// Aluminium beyond this is another filter.
+pub const ALUMINIUM_APART_MM: f64 = 0.3;
+/// A tube, its housing and its collimator have at most this of their own, as aluminium. A sheet that is fixed in the housing is added to one
+/// maker and the tube's own to the next, and some tell the total: of two who tell of aluminium, either may count what the other leaves out.
+pub const OWN_ALUMINIUM_MM: f64 = 4.0;
+
+/// Least and most thickness, one number where they are alike.
+#[must_use]
+pub fn thickness_words([least_mm, most_mm]: [f64; 2]) -> String {
+    if most_mm - least_mm >= 0.005 { format!("{least_mm:.2} to {most_mm:.2} mm") } else { format!("{most_mm:.2} mm") }
+}
+
 /// A filter of one material.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FilterLayer {
@@ -64,24 +109,6 @@ pub struct FilterLayer {
     /// Least and most thickness (0018,7052) and (0018,7054); the one is both where the other is not there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thickness_mm: Option<[f64; 2]>,
-}
-
-impl FilterTags {
-    /// Least and most thickness of `material` in the beam, its layers together; `None` where the header does not say it. A zero says
-    /// nothing: consoles write it where they do not know. "No filter" says nothing of aluminium, because sheets that are fixed in the
-    /// housing were never put in.
-    #[must_use]
-    pub fn thickness_mm(&self, material: FilterMaterial) -> Option<[f64; 2]> {
-        if self.form == Some(FilterForm::NoFilter) && self.layers.is_empty() {
-            return (material != FilterMaterial::Aluminum).then_some([0.0; 2]);
-        }
-        let mut total_mm = [0.0; 2];
-        for layer in self.layers.iter().filter(|layer| layer.material == material) {
-            let [least_mm, most_mm] = layer.thickness_mm?;
-            total_mm = [total_mm[0] + least_mm, total_mm[1] + most_mm];
-        }
-        (total_mm[1] > 0.0).then_some(total_mm)
-    }
 }
 
 /// Shape of the opening.
@@ -120,16 +147,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layers_of_a_material_add_up_and_what_is_not_said_is_not_zero() {
-        use FilterMaterial::{Aluminum, Copper, Lead};
-        let layer = |material, thickness_mm| FilterLayer { material, thickness_mm };
-        let layers = vec![layer(Copper, Some([0.25, 0.25])), layer(Copper, Some([0.5, 1.0])), layer(Lead, None)];
-        let filter = FilterTags { form: None, layers };
-        assert_eq!(filter.thickness_mm(Copper), Some([0.75, 1.25]));
-        assert_eq!([Lead, Aluminum].map(|material| filter.thickness_mm(material)), [None; 2]);
-        let zero = FilterTags { form: Some(FilterForm::NoFilter), layers: vec![layer(Copper, Some([0.0; 2]))] };
-        assert_eq!(zero.thickness_mm(Copper), None);
-        let none = FilterTags { form: Some(FilterForm::NoFilter), layers: Vec::new() };
-        assert_eq!([Copper, Aluminum].map(|material| none.thickness_mm(material)), [Some([0.0; 2]), None]);
+    fn materials_are_known_by_name_and_symbol() {
+        for material in FilterMaterial::ALL {
+            assert_eq!(material.names().map(FilterMaterial::named), [Some(material); 2]);
+        }
+        assert_eq!(["Aluminum", "ALUMINIUM", " cu"].map(FilterMaterial::named).iter().flatten().count(), 3);
+        assert_eq!(["", "water", "A"].map(FilterMaterial::named), [None; 3]);
     }
 }

@@ -1,10 +1,11 @@
 //! The description `IMAGE.tif.json` that this program writes beside its images: it says what the values mean.
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::domain::Domain;
 use crate::foreign::open_regular;
+use crate::image::beside;
 
 /// More than any description takes.
 const MAX_BYTES: u64 = 1 << 20;
@@ -26,13 +27,6 @@ impl Default for Beside {
     }
 }
 
-/// Path of the description of `path`: the file name with `.json` appended.
-fn description_path(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".json");
-    PathBuf::from(name)
-}
-
 impl Beside {
     /// Nothing but a word on why.
     fn only(evidence: &str) -> Self {
@@ -41,7 +35,7 @@ impl Beside {
 
     /// Reads the description of the image at `path`.
     pub(super) fn of(path: &Path) -> Self {
-        let file = match open_regular(&description_path(path), MAX_BYTES) {
+        let file = match open_regular(&beside(path, "json"), MAX_BYTES) {
             Ok(open) => open.file,
             Err(crate::foreign::OpenFault::Io(error)) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Self::only("the file has no header for radiographs and no sidecar .json");

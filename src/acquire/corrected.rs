@@ -34,8 +34,6 @@ pub struct Correction {
     pub console: Vec<String>,
     /// What the console did, as declared or solved.
     pub stored: Option<Stored>,
-    /// Panel pixels per pixel of the frame; 0 when the console's geometry is not declared.
-    pub panel_px_per_px: f64,
     /// Stored value without X-rays that was subtracted (median over the panel).
     pub offset_value: Option<f64>,
     /// What the unattenuated signal would be, offset subtracted; `None` when it is not known for this frame.
@@ -44,6 +42,8 @@ pub struct Correction {
     pub air_relative_sigma: Option<f64>,
     /// Why `air_value` is what it is.
     pub air_evidence: String,
+    /// Why the air map may not be that of the frame's beam: taken with another filter, or it is not known with which of several.
+    pub flood_doubt: Option<String>,
     /// Stored value per detected quantum.
     pub gain_value_per_quantum: Option<f64>,
     /// Electronic noise of a pixel, stored value.

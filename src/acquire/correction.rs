@@ -5,32 +5,13 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
-use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
+use super::detector_record::{DetectorCalibration, DetectorCalibrationError};
+use super::flood::ChosenBeam;
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use super::{Domain, Frame, FrameTags, Stored};
 use crate::geometry::{ConsoleGeometry, Intensifier, IntensifierError, PanelWindow};
 use crate::image::Image;
-
-/// Tube voltages this close are the same.
-const SAME_KVP: f64 = 1.0;
-/// What interpolation between two voltages may err.
-const INTERPOLATED_SIGMA: f64 = 0.01;
-
-/// How a beam of the calibration fits a frame.
-struct ChosenBeam {
-    index: usize,
-    /// Air value of the frame's exposure, median over the panel.
-    air_value: Result<f64, String>,
-    relative_sigma: f64,
-    evidence: String,
-}
-
-/// Tube current times time of a frame, mAs.
-#[must_use]
-pub fn exposure_mas(tags: &FrameTags) -> Option<f64> {
-    let product = tags.tube_ma.zip(tags.exposure_ms).map(|(ma, ms)| 1e-3 * ma * ms);
-    tags.exposure_uas.map(|uas| 1e-3 * uas).or(product).filter(|mas| *mas > 0.0 && mas.is_finite())
-}
+use crate::telemetry::CarmSample;
 
 impl Frame {
     /// What an intensifier that is `whole` in the panel's picture did to this frame, in its own pixels.
@@ -85,7 +66,6 @@ impl Frame {
         }
         correction.console = words;
         correction.stored = Some(Stored { console: console.clone(), size_px: stored_px, panel_px });
-        correction.panel_px_per_px = console.window(stored_px).step;
         frame.correction = Some(correction);
         frame
     }
@@ -107,6 +87,14 @@ impl DetectorCalibration {
     /// # Errors
     /// In words, when the calibration does not apply: another size, or values that are not linear. The frame stays as it was then.
     pub fn correct(&self, frame: &Frame, window: PanelWindow) -> Result<Frame, String> {
+        self.correct_told(frame, window, None)
+    }
+
+    /// [`DetectorCalibration::correct`] where telemetry has `told` of the exposure: voltage and filter that the header does not say.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn correct_told(&self, frame: &Frame, window: PanelWindow, told: Option<&CarmSample>) -> Result<Frame, String> {
         let record = &self.record;
         if frame.domain != Domain::Linear {
             return Err(format!(
@@ -132,7 +120,7 @@ impl DetectorCalibration {
                 frame.size_px
             ));
         }
-        let chosen = self.choose(&frame.tags);
+        let chosen = record.choose(&frame.tags, told);
         let mut corrected = frame.clone();
         let mut correction = corrected.correction.take().unwrap_or_default();
         let mut flags = match correction.flags.take() {
@@ -140,12 +128,10 @@ impl DetectorCalibration {
             None => Image::filled(frame.pixels.width, frame.pixels.height, 0u8),
         };
         let beam = chosen.as_ref().map(|chosen| &record.beams[chosen.index]);
-        let air_share = chosen.as_ref().and_then(|chosen| self.maps.air_share.get(chosen.index));
         let offset_value = record.offset_value.unwrap_or(0.0);
         let [low_end, high_end] = [frame.clipping.black_at, frame.clipping.saturated_at];
         let saturated_from = record.saturation_value.map_or(f32::INFINITY, |value| value as f32);
-        let places = Places { window, panel_px };
-        let width = frame.pixels.width;
+        let panel = self.panel(window, frame.pixels.width, chosen.as_ref());
         for (at, (value, flag)) in corrected.pixels.pixels.iter_mut().zip(&mut flags.pixels).enumerate() {
             if high_end == Some(*value) || *value >= saturated_from {
                 *flag |= SATURATED;
@@ -153,12 +139,8 @@ impl DetectorCalibration {
             if low_end == Some(*value) {
                 *flag |= AT_LOW_END;
             }
-            let covered = places.covered(at % width, at / width);
-            let offset = self.maps.offset_value.as_ref().map_or(offset_value, |map| covered.mean(map));
-            let share = air_share.map_or(1.0, |map| covered.mean(map));
-            if let Some(bad) = &self.maps.bad {
-                *flag |= covered.union(bad);
-            }
+            let PanelPixel { offset, share, bad } = panel.at(at);
+            *flag |= bad;
             if !(share > 0.0) {
                 *flag |= DEAD;
             }
@@ -175,6 +157,7 @@ impl DetectorCalibration {
             (None, Some(air)) => (Some(air - offset_value), None, "the calibration's one air value, for any exposure".to_owned()),
             (None, None) => (None, None, "the calibration holds no air frames".to_owned()),
         };
+        correction.flood_doubt = chosen.as_ref().and_then(|chosen| chosen.doubt.clone());
         correction.gain_value_per_quantum = beam
             .and_then(|beam| beam.gain_value_per_quantum)
             .or_else(|| record.air_value.zip(record.photons_per_pixel).map(|(air, photons)| (air - offset_value) / photons));
@@ -192,69 +175,63 @@ impl DetectorCalibration {
         Ok(corrected)
     }
 
-    /// The beam whose map fits best, and the air value of the frame's exposure if it can be known. `None` without beams.
-    fn choose(&self, tags: &FrameTags) -> Option<ChosenBeam> {
-        let beams = &self.record.beams;
-        let distance = |beam: &AirBeam| tags.kvp.zip(beam.tube_kvp).map_or(0.0, |(a, b)| (a - b).abs());
-        let index = (0..beams.len()).min_by(|a, b| distance(&beams[*a]).total_cmp(&distance(&beams[*b])))?;
-        let beam = &beams[index];
-        let unknown = |reason: String| ChosenBeam { index, air_value: Err(reason), relative_sigma: 0.0, evidence: String::new() };
-        let (Some(kvp), Some(beam_kvp)) = (tags.kvp, beam.tube_kvp) else {
-            if tags.kvp.is_none() && beam.tube_kvp.is_none() {
-                return Some(at_exposure(index, beam, tags, beam.air_value_per_mas, "tube voltage not stated"));
-            }
-            return Some(unknown("air level unknown: the tube voltage of the frame or of the calibration is not stated".into()));
-        };
-        let near: Vec<&AirBeam> = beams.iter().filter(|beam| distance(beam) <= SAME_KVP).collect();
-        if near.len() > 1 {
-            let filters: Vec<&str> = near.iter().map(|beam| beam.filter.as_deref().unwrap_or("none")).collect();
-            return Some(unknown(format!(
-                "air level unknown: the calibration has filters {} at {kvp:.0} kVp, and the frame does not say which was in",
-                filters.join(", ")
-            )));
+    /// The signal of an exposure with these tags where nothing is in the beam, offset subtracted, as far as it is known.
+    #[must_use]
+    pub fn air_value(&self, tags: &FrameTags) -> Option<f64> {
+        match self.record.choose(tags, None) {
+            Some(chosen) => chosen.air_value.ok(),
+            None => Some(self.record.air_value? - self.record.offset_value.unwrap_or(0.0)),
         }
-        if near.len() == 1 {
-            return Some(at_exposure(index, beam, tags, beam.air_value_per_mas, &format!("{beam_kvp:.0} kVp")));
-        }
-        // Tube output is close to a power of the voltage between two that were measured with the same filter.
-        let same: Vec<&AirBeam> = beams.iter().filter(|other| other.filter == beam.filter).collect();
-        let nearest = |above: bool| {
-            let side = same.iter().filter(|b| b.tube_kvp.is_some_and(|v| (v > kvp) == above) && b.air_value_per_mas.is_some());
-            side.min_by(|a, b| distance(a).total_cmp(&distance(b))).copied()
+    }
+
+    /// What the panel stores of a picture that is 1 where the signal is `air_value`: what [`DetectorCalibration::correct`] undoes.
+    #[must_use]
+    pub fn stored(&self, picture: &Image<f32>, window: PanelWindow, tags: &FrameTags, air_value: f64) -> Image<f32> {
+        let panel = self.panel(window, picture.width, self.record.choose(tags, None).as_ref());
+        let value = |(at, value): (usize, &f32)| {
+            let PanelPixel { offset, share, .. } = panel.at(at);
+            (offset + share * air_value * f64::from(*value)) as f32
         };
-        let (Some(below), Some(above)) = (nearest(false), nearest(true)) else {
-            return Some(unknown(format!(
-                "air level unknown: the frame was taken at {kvp:.0} kVp, the calibration ends at {beam_kvp:.0} kVp; calibrate this voltage"
-            )));
-        };
-        let ends = [below, above].map(|b| [b.tube_kvp, b.air_value_per_mas].map(|v| v.unwrap_or(f64::NAN).ln()));
-        let share = (kvp.ln() - ends[0][0]) / (ends[1][0] - ends[0][0]);
-        let per_mas = (ends[0][1] + share * (ends[1][1] - ends[0][1])).exp();
-        let words = format!("between {:.0} and {:.0} kVp", ends[0][0].exp(), ends[1][0].exp());
-        let mut chosen = at_exposure(index, beam, tags, Some(per_mas).filter(|value| value.is_finite()), &words);
-        chosen.relative_sigma = chosen.relative_sigma.hypot(INTERPOLATED_SIGMA);
-        Some(chosen)
+        Image { pixels: picture.pixels.iter().enumerate().map(value).collect(), ..*picture }
+    }
+
+    fn panel(&self, window: PanelWindow, width: usize, chosen: Option<&ChosenBeam>) -> Panel<'_> {
+        let panel_px = [self.record.columns_px as usize, self.record.rows_px as usize];
+        let air_share = chosen.and_then(|chosen| self.maps.air_share.get(chosen.index));
+        Panel { calibration: self, air_share, places: Places { window, panel_px }, width }
     }
 }
 
-/// The air value of the frame's own exposure and distance.
-fn at_exposure(index: usize, beam: &AirBeam, tags: &FrameTags, per_mas: Option<f64>, words: &str) -> ChosenBeam {
-    let relative_sigma = beam.air_relative_sigma;
-    let distance = tags.sid_mm.zip(beam.source_to_detector_mm).filter(|(frame, _)| *frame > 0.0);
-    let inverse_square = distance.map_or(1.0, |(frame, calibrated)| (calibrated / frame).powi(2));
-    let moved =
-        if (inverse_square - 1.0).abs() > 1e-3 { format!(", times {inverse_square:.4} for the distance") } else { String::new() };
-    let (air_value, evidence) = match (per_mas, exposure_mas(tags), beam.air_value) {
-        (Some(per_mas), Some(mas), _) => {
-            (Ok(per_mas * mas * inverse_square), format!("air level from the calibration: {words}, {mas:.3} mAs{moved}"))
+/// What a calibration says of a pixel: the mean over those of the panel that it covers.
+struct PanelPixel {
+    offset: f64,
+    /// Of the signal, relative to the median over the panel.
+    share: f64,
+    /// Flags of all that it covers.
+    bad: u8,
+}
+
+/// A calibration as it lies below a frame.
+struct Panel<'a> {
+    calibration: &'a DetectorCalibration,
+    air_share: Option<&'a Image<f32>>,
+    places: Places,
+    width: usize,
+}
+
+impl Panel<'_> {
+    fn at(&self, at: usize) -> PanelPixel {
+        let maps = &self.calibration.maps;
+        let covered = self.places.covered(at % self.width, at / self.width);
+        PanelPixel {
+            offset: match &maps.offset_value {
+                Some(map) => covered.mean(map),
+                None => self.calibration.record.offset_value.unwrap_or(0.0),
+            },
+            share: self.air_share.map_or(1.0, |map| covered.mean(map)),
+            bad: maps.bad.as_ref().map_or(0, |bad| covered.union(bad)),
         }
-        (Some(_), None, _) => (Err("air level unknown: the frame does not say its mAs".to_owned()), String::new()),
-        (None, _, Some(_)) => {
-            (Err("air level unknown: the calibration's air frames did not say their mAs".to_owned()), String::new())
-        }
-        (None, _, None) => (Err("air level unknown: the calibration has none for this beam".to_owned()), String::new()),
-    };
-    ChosenBeam { index, air_value, relative_sigma, evidence }
+    }
 }
 
 /// From pixels of a frame to those of the panel.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::added_filter::AddedFilter;
 use super::panel_maps::{MapsError, PanelMaps};
 use crate::foreign::read_small_text;
 use crate::json::{JsonFault, parse_json};
@@ -41,8 +42,11 @@ pub struct ExposureLevel {
 pub struct AirBeam {
     /// Tube voltage.
     pub tube_kvp: Option<f64>,
-    /// Added filtration, as declared: `aluminium=4.3`.
+    /// Everything between anode and panel, as declared and with what the air frames state beside it: `aluminium=4.3,copper=0.2`.
     pub filter: Option<String>,
+    /// The filter that the air frames state; absent where they state none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub added_filter: Option<AddedFilter>,
     /// Focal spot to panel of the air frames.
     pub source_to_detector_mm: Option<f64>,
     /// Median over the panel of the signal per mAs, offset removed.

@@ -4,6 +4,7 @@
 //! X-rays at the detector, in `log` frames a larger value means more attenuation (like a line integral). What had to be turned round
 //! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
 
+mod added_filter;
 mod beam_tags;
 mod beside;
 mod corrected;
@@ -16,6 +17,7 @@ mod domain;
 mod entry;
 mod error;
 mod extent;
+mod flood;
 mod identity;
 mod label;
 mod listing;
@@ -46,15 +48,19 @@ mod whole;
 use crate::foreign::Limits;
 use crate::image::{Image, sha256_bytes};
 
-pub use beam_tags::{CollimatorShape, CollimatorTags, FilterForm, FilterLayer, FilterMaterial, FilterTags};
+pub use added_filter::{AddedFilter, AddedFilterError, FilterSource, Likeness};
+pub use beam_tags::{
+    ALUMINIUM_APART_MM, COPPER_APART_MM, CollimatorShape, CollimatorTags, FilterForm, FilterLayer, FilterMaterial, FilterTags,
+    OWN_ALUMINIUM_MM, thickness_words,
+};
 pub use corrected::{Correction, Stored};
-pub use correction::exposure_mas;
 pub use detector_record::{
     AirBeam, BadPixels, DetectorCalibration, DetectorCalibrationError, DetectorRecord, EdgeMtf, ExposureLevel, MapsFile,
     NoisePower, PanelResponse,
 };
 pub use domain::Domain;
 pub use error::{AcquireError, Fault};
+pub use flood::exposure_mas;
 pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, read_photo, serve};

@@ -53,6 +53,8 @@ pub(super) enum What {
     Completed(Option<Held>),
     /// Somebody has it open and has written to it.
     Written,
+    /// It has another name in this folder, of which the next notice is.
+    Renamed,
     /// More happened than the system could tell.
     Untold,
 }
@@ -144,7 +146,7 @@ mod linux {
 
     pub(super) fn watch(folder: &Path) -> Option<OwnedFd> {
         let inotify = init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).ok()?;
-        let of_files = WatchFlags::MODIFY | WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_TO;
+        let of_files = WatchFlags::MODIFY | WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_FROM | WatchFlags::MOVED_TO;
         let flags = of_files | WatchFlags::DELETE_SELF | WatchFlags::MOVE_SELF;
         add_watch(&inotify, folder, flags | WatchFlags::ONLYDIR).ok()?;
         Some(inotify)
@@ -161,6 +163,8 @@ mod linux {
     ) {
         let wake = Timespec { tv_sec: 0, tv_nsec: WAKE_MS as i64 * 1_000_000 };
         let mut written_last = OsString::new();
+        // The two halves of a renaming have one cookie.
+        let mut former: Option<(u32, OsString)> = None;
         while !stop.load(Ordering::Relaxed) {
             if !matches!(poll(&mut [PollFd::new(inotify, PollFlags::IN)], Some(&wake)), Ok(1..)) {
                 continue;
@@ -178,7 +182,12 @@ mod linux {
                     What::Untold
                 } else if !wanted(&name) {
                     continue;
+                } else if event.events().contains(ReadFlags::MOVED_FROM) {
+                    former = Some((event.cookie(), name));
+                    continue;
                 } else if !event.events().contains(ReadFlags::MODIFY) {
+                    let renamed = former.take_if(|(cookie, _)| *cookie == event.cookie());
+                    batch.extend(renamed.map(|(_, name)| Notice { name, what: What::Renamed }));
                     What::Completed(held.hold(&folder.join(&name)))
                 } else if written_last == name {
                     // A large file is written in many pieces.

@@ -1,6 +1,7 @@
 //! The seam through which a session's frames come: a watched folder or a tree of them, and what a DICOM receiver or a video grabber puts
 //! into one. Seeing is cheap and reading is slow, so they are apart: whoever reads decides the order and the thread. A replay takes its
-//! frames from the log, and not through here.
+//! frames from the log, and not through here: which files became frames, under which number and after which bytes of the lines, was decided
+//! when they came through here, and the engine takes them as that was decided.
 
 use super::{AcquireError, Fault, Frame};
 use crate::foreign::NotRegular;

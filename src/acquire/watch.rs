@@ -143,7 +143,7 @@ impl FolderSource {
     }
 
     /// A version that its writer has completed.
-    fn notice(&mut self, name: OsString, held: Held, now_us: i64, found: &mut Vec<Sighting>) {
+    fn notice(&mut self, mut name: OsString, held: Held, now_us: i64, found: &mut Vec<Sighting>) {
         let stamp = held.open.stamp;
         if let Some(entry) = self.entries.get_mut(&name) {
             let rewritten = |before: &FileStamp| before.inode == stamp.inode && *before != stamp && stamp.bytes <= before.bytes;
@@ -157,11 +157,21 @@ impl FolderSource {
             } else if entry.stamp != stamp {
                 self.replace(&name, stamp, now_us, found);
             }
-        } else if let Some(mut entry) = self.former_name(stamp).and_then(|former| self.entries.remove(&former)) {
-            entry.held = None;
-            self.entries.insert(name.clone(), entry);
         } else {
-            self.add(name.clone(), stamp, now_us);
+            let leads_to_it =
+                |name: &OsStr| std::fs::metadata(self.folder.join(name)).is_ok_and(|metadata| FileStamp::of(&metadata) == stamp);
+            match self.known_as(stamp) {
+                // It was renamed, and the notice of the name before comes late.
+                Some(known) if !leads_to_it(&name) => name = known,
+                // It was renamed to this.
+                Some(known) if !leads_to_it(&known) => {
+                    if let Some(mut entry) = self.entries.remove(&known) {
+                        entry.held = None;
+                        self.entries.insert(name.clone(), entry);
+                    }
+                }
+                _ => self.add(name.clone(), stamp, now_us),
+            }
         }
         if let Some(entry) = self.entries.get_mut(&name) {
             entry.closed = Some(stamp);
@@ -175,10 +185,10 @@ impl FolderSource {
         }
     }
 
-    /// The name under which this very version was known, if no file has that name any more: it was renamed.
-    fn former_name(&self, stamp: FileStamp) -> Option<OsString> {
+    /// The name under which this very version is known.
+    fn known_as(&self, stamp: FileStamp) -> Option<OsString> {
         let known = self.entries.iter().find(|(_, entry)| entry.stamp == stamp && stamp.inode != (0, 0))?.0;
-        std::fs::symlink_metadata(self.folder.join(known)).is_err().then(|| known.clone())
+        Some(known.clone())
     }
 
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
@@ -358,6 +368,11 @@ impl FrameSource for FolderSource {
                 }
                 What::Untold => {
                     self.being_written.clear();
+                    continue;
+                }
+                // What was completed under that name and could not be opened any more is not gone.
+                What::Renamed => {
+                    missed.remove(&name);
                     continue;
                 }
                 What::Completed(_) => self.being_written.remove(&name),

@@ -76,6 +76,11 @@ impl Places {
 
 /// A chord profile of radius r responds most at σ ≈ 0.55 r.
 const RADIUS_PER_SIGMA: f64 = 1.8;
+/// Radius of the sphere whose shadow responds most at `sigma` on a level of every `step`-th pixel.
+fn radius_px_of(sigma: f64, step: usize) -> f64 {
+    sigma * step as f64 * RADIUS_PER_SIGMA
+}
+
 /// Scales that are looked at, in the smallest and the largest radius.
 const SMALLEST: f64 = 0.55;
 const LARGEST: f64 = 1.8;
@@ -92,15 +97,16 @@ const OF_EACH_SCALE: usize = 16;
 /// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest, other strong ones and the strongest of each scale,
 /// strongest first. Pixels that are not `usable` yield none.
 pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), most: usize) -> Vec<Candidate> {
-    let mut found = Vec::new();
+    let (mut found, mut radii) = (Vec::new(), Vec::new());
     let mut level = blur(image, (1.0f64 - 0.25).sqrt());
     let mut step = 1usize;
     while level.width >= 16 && level.height >= 16 {
         let wider = blur(&level, 1.0);
         for (smoothed, sigma) in [(&level, 1.0), (&wider, std::f64::consts::SQRT_2)] {
-            let radius = sigma * step as f64 * RADIUS_PER_SIGMA;
+            let radius = radius_px_of(sigma, step);
             if radius >= SMALLEST * radius_px.0 && radius <= LARGEST * radius_px.1 {
                 find_at_scale(smoothed, usable, sigma, step, &mut found);
+                radii.push(radius);
             }
         }
         if step as f64 * RADIUS_PER_SIGMA > LARGEST * radius_px.1 {
@@ -110,14 +116,23 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), mos
         step *= 2;
     }
     found.sort_by(|a, b| b.response.total_cmp(&a.response));
+    let surroundings: Vec<Surroundings> = radii.into_iter().map(Surroundings::new).collect();
+    let stands_out: Vec<bool> = found
+        .par_iter()
+        .map(|candidate| {
+            let of_scale = surroundings.iter().find(|s| s.radius == candidate.radius_px.to_bits());
+            of_scale.is_some_and(|surroundings| surroundings.are_darker(image, candidate))
+        })
+        .collect();
     let (mut kept, mut places) = (Vec::<Candidate>::new(), Places::new(image, SAME_RADII * LARGEST * radius_px.1));
-    for candidate in found {
+    for (candidate, stands_out) in found.into_iter().zip(stands_out) {
+        if !stands_out {
+            continue;
+        }
         if let Some(at) = places.near(&candidate).filter(|at| kept[*at].is_place_of(&candidate)).min() {
             // How clear a blob is does not depend on the scale at which it is largest: there it may lie among others as large.
-            if candidate.strength > kept[at].strength && stands_out(image, &candidate) {
-                kept[at].strength = candidate.strength;
-            }
-        } else if stands_out(image, &candidate) {
+            kept[at].strength = kept[at].strength.max(candidate.strength);
+        } else {
             places.add(&candidate, kept.len());
             kept.push(candidate);
         }
@@ -138,41 +153,62 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), mos
         .collect()
 }
 
-/// Whether the middle is brighter than its surroundings all round: of eight sectors of the ring outside, six at least lie clearly below
-/// it. Cheap, and rids the fit of edges, wires and corners.
-fn stands_out(image: &Image<f32>, candidate: &Candidate) -> bool {
-    let radius = candidate.radius_px.max(1.5);
-    let (outer, inner) = (1.9 * radius + 0.7, 1.15 * radius + 0.3);
-    let core = (0.5 * radius).max(0.8);
-    let reach = outer.ceil() as i64;
-    let (mut middle, mut sectors) = ((0.0f64, 0.0f64), [(0.0f64, 0.0f64); 8]);
-    for dy in -reach..=reach {
-        for dx in -reach..=reach {
-            let (column, row) = (candidate.u_px as i64 + dx, candidate.v_px as i64 + dy);
-            if column < 0 || row < 0 || column >= image.width as i64 || row >= image.height as i64 {
-                continue;
-            }
-            let distance = ((dx * dx + dy * dy) as f64).sqrt();
-            let value = f64::from(image.pixels[row as usize * image.width + column as usize]);
-            if distance <= core {
-                middle.0 += value;
-                middle.1 += 1.0;
-            } else if distance >= inner && distance <= outer {
-                let angle = (dy as f64).atan2(dx as f64) / std::f64::consts::TAU + 0.5;
-                let sector = &mut sectors[((angle * 8.0) as usize).min(7)];
-                sector.0 += value;
-                sector.1 += 1.0;
+/// The pixels about a blob that tell whether it stands out: its middle, and the ring outside by sectors.
+struct Surroundings {
+    /// Bits of the radius that they are of.
+    radius: u64,
+    reach: usize,
+    /// Column, row and sector of each pixel, line by line; the middle is sector 8.
+    pixels: Vec<(i32, i32, usize)>,
+}
+
+const MIDDLE: usize = 8;
+
+impl Surroundings {
+    fn new(radius_px: f64) -> Self {
+        let radius = radius_px.max(1.5);
+        let (outer, inner, core) = (1.9 * radius + 0.7, 1.15 * radius + 0.3, (0.5 * radius).max(0.8));
+        let reach = outer.ceil() as i32;
+        let mut pixels = Vec::new();
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let distance = f64::from(dx * dx + dy * dy).sqrt();
+                if distance <= core {
+                    pixels.push((dx, dy, MIDDLE));
+                } else if distance >= inner && distance <= outer {
+                    let angle = f64::from(dy).atan2(f64::from(dx)) / std::f64::consts::TAU + 0.5;
+                    pixels.push((dx, dy, ((angle * 8.0) as usize).min(7)));
+                }
             }
         }
+        Self { radius: radius_px.to_bits(), reach: reach as usize, pixels }
     }
-    let middle = middle.0 / middle.1;
-    let mut drops: Vec<f64> = sectors.iter().filter(|s| s.1 > 0.0).map(|s| middle - s.0 / s.1).collect();
-    if drops.len() < 6 {
-        return false;
+
+    /// Whether the middle is brighter than its surroundings all round: of eight sectors of the ring outside, six at least lie clearly
+    /// below it. Cheap, and rids the fit of edges, wires and corners.
+    fn are_darker(&self, image: &Image<f32>, candidate: &Candidate) -> bool {
+        let (column, row) = (candidate.u_px as usize, candidate.v_px as usize);
+        let inside = |at: usize, end: usize| at >= self.reach && at + self.reach < end;
+        let is_inside = inside(column, image.width) && inside(row, image.height);
+        let mut sums = [(0.0f64, 0.0f64); 9];
+        for (dx, dy, sector) in &self.pixels {
+            let (column, row) = (column as i64 + i64::from(*dx), row as i64 + i64::from(*dy));
+            if !is_inside && (column < 0 || row < 0 || column >= image.width as i64 || row >= image.height as i64) {
+                continue;
+            }
+            let sum = &mut sums[*sector];
+            sum.0 += f64::from(image.pixels[row as usize * image.width + column as usize]);
+            sum.1 += 1.0;
+        }
+        let middle = sums[MIDDLE].0 / sums[MIDDLE].1;
+        let mut drops: Vec<f64> = sums[..MIDDLE].iter().filter(|s| s.1 > 0.0).map(|s| middle - s.0 / s.1).collect();
+        if drops.len() < 6 {
+            return false;
+        }
+        drops.sort_by(f64::total_cmp);
+        let typical = drops[drops.len() / 2];
+        typical > 0.0 && drops[drops.len() - 6] > 0.3 * typical && drops[0] > -typical
     }
-    drops.sort_by(f64::total_cmp);
-    let typical = drops[drops.len() / 2];
-    typical > 0.0 && drops[drops.len() - 6] > 0.3 * typical && drops[0] > -typical
 }
 
 fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usize, found: &mut Vec<Candidate>) {
@@ -183,6 +219,7 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
     let rows = response.pixels.par_chunks_mut(w).zip(trace.pixels.par_chunks_mut(w)).enumerate();
     rows.filter(|(row, _)| (1..h - 1).contains(row)).for_each(|(row, (response, trace))| {
         let [above, own, below] = [row - 1, row, row + 1].map(|row| &image.pixels[row * w..(row + 1) * w]);
+        let (response, trace) = (&mut response[..w], &mut trace[..w]);
         for column in 1..w - 1 {
             let xx = own[column - 1] - 2.0 * own[column] + own[column + 1];
             let yy = above[column] - 2.0 * own[column] + below[column];
@@ -214,10 +251,11 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
     sorted.sort_by(f32::total_cmp);
     let typical = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
     let peaks = (1..h - 1).into_par_iter().flat_map_iter(|row| {
-        let (response, medians) = (&response, &medians);
+        let (response, line) = (&response, &response.pixels[row * w..(row + 1) * w]);
+        let medians = &medians[row / TILE * tiles_across..][..tiles_across];
         (1..w - 1).filter_map(move |column| {
-            let value = response.pixels[row * w + column];
-            let noise = medians[row / TILE * tiles_across + column / TILE].max(0.3 * typical).max(f32::MIN_POSITIVE);
+            let value = line[column];
+            let noise = medians[column / TILE].max(0.3 * typical).max(f32::MIN_POSITIVE);
             if !(value > 2.5 * noise) {
                 return None;
             }
@@ -230,7 +268,7 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
             (is_peak && in_frame && usable.pixels[full_row * usable.width + full_column]).then(|| Candidate {
                 u_px: full_column as f64,
                 v_px: full_row as f64,
-                radius_px: sigma * step as f64 * RADIUS_PER_SIGMA,
+                radius_px: radius_px_of(sigma, step),
                 strength: f64::from(value / noise),
                 response: f64::from(value),
             })
@@ -255,28 +293,31 @@ pub fn blur(image: &Image<f32>, sigma_px: f64) -> Image<f32> {
     let (w, h) = (image.width, image.height);
     let mut across = vec![0.0f32; w * h];
     across.par_chunks_mut(w.max(1)).zip(image.pixels.par_chunks(w.max(1))).for_each(|(across, line)| {
-        for (column, out) in across.iter_mut().enumerate() {
-            *out = kernel[0] * line[column];
-            if column >= reach && column + reach < w {
-                for (n, weight) in kernel.iter().enumerate().skip(1) {
-                    *out += weight * (line[column - n] + line[column + n]);
-                }
-            } else {
-                for (n, weight) in kernel.iter().enumerate().skip(1) {
-                    *out += weight * (line[column.saturating_sub(n)] + line[(column + n).min(w - 1)]);
-                }
+        across.iter_mut().zip(line).for_each(|(out, value)| *out = kernel[0] * value);
+        let inner = reach.min(w)..w.saturating_sub(reach).max(reach.min(w));
+        for (n, weight) in kernel.iter().enumerate().skip(1) {
+            if !inner.is_empty() {
+                let (left, right) = (&line[inner.start - n..inner.end - n], &line[inner.start + n..inner.end + n]);
+                add_weighted(&mut across[inner.clone()], *weight, left, right);
+            }
+            for column in (0..inner.start).chain(inner.end..w) {
+                across[column] += weight * (line[column.saturating_sub(n)] + line[(column + n).min(w - 1)]);
             }
         }
     });
     let mut pixels = vec![0.0f32; w * h];
     pixels.par_chunks_mut(w.max(1)).enumerate().for_each(|(row, out)| {
         for (n, weight) in kernel.iter().enumerate() {
-            let (above, below) = (row.saturating_sub(n) * w, (row + n).min(h - 1) * w);
-            let share = if n == 0 { 0.5 } else { 1.0 } * weight;
-            for (column, value) in out.iter_mut().enumerate() {
-                *value += share * (across[above + column] + across[below + column]);
-            }
+            let [above, below] = [row.saturating_sub(n), (row + n).min(h - 1)].map(|row| &across[row * w..(row + 1) * w]);
+            add_weighted(out, if n == 0 { 0.5 } else { 1.0 } * weight, above, below);
         }
     });
     Image { width: w, height: h, pixels }
+}
+
+/// Adds `weight` times the sum of two lines.
+fn add_weighted(out: &mut [f32], weight: f32, one: &[f32], other: &[f32]) {
+    for ((out, one), other) in out.iter_mut().zip(one).zip(other) {
+        *out += weight * (one + other);
+    }
 }

@@ -1,6 +1,6 @@
 //! From a frame to the shadows of spheres in it.
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -13,6 +13,7 @@ use super::profile::SHAPES;
 use super::several::{DISTURBING, MOST_MISFIT, distinct, disturbed_px, once_per_place, overlap, same};
 use super::window::Field;
 use crate::acquire::{Domain, Frame};
+use crate::geometry::Distortion;
 use crate::image::Image;
 use crate::mask::fill;
 
@@ -61,6 +62,55 @@ pub struct Detection {
     pub quality: f64,
     /// What speaks against its centre.
     pub flags: Flags,
+}
+
+/// No centre is known better along any direction, σ, px.
+const LEAST_SIGMA_PX: f64 = 0.003;
+
+/// A covariance uu, uv, vv in px² of a place that is known along no direction better than to `sigma_px`: raised by what the direction that
+/// is known best lacks.
+#[must_use]
+pub fn known_at_best([uu, uv, vv]: [f64; 3], sigma_px: f64) -> [f64; 3] {
+    let least = 0.5 * (uu + vv) - (0.5 * (uu - vv)).hypot(uv);
+    let more = (sigma_px.powi(2) - least).max(0.0);
+    [uu + more, uv, vv + more]
+}
+
+impl Detection {
+    /// Covariance of the centre, uu, uv, vv in px²: the stated one, or where there is none `sigma_px` along every direction; nowhere less
+    /// than a centre can be known.
+    #[must_use]
+    pub fn noise_px2(&self) -> [f64; 3] {
+        let [[uu, uv], [vu, vv]] = self.covariance_px2;
+        let cross = 0.5 * (uv + vu);
+        if !(uu > 0.0 && vv > 0.0 && uu * vv > cross * cross) {
+            let variance = self.sigma_px.max(LEAST_SIGMA_PX).powi(2);
+            return [variance, 0.0, variance];
+        }
+        known_at_best([uu, cross, vv], LEAST_SIGMA_PX)
+    }
+
+    /// Standard deviation of the centre along a direction of any length.
+    #[must_use]
+    pub fn sigma_along_px(&self, direction: DVec2) -> f64 {
+        let ([uu, uv, vv], along) = (self.noise_px2(), direction.normalize_or_zero());
+        (uu * along.x * along.x + 2.0 * uv * along.x * along.y + vv * along.y * along.y).max(0.0).sqrt()
+    }
+
+    /// The same with place, covariance and size in the undistorted picture.
+    #[must_use]
+    pub fn straightened(&self, distortion: &Distortion) -> Self {
+        let jacobian = distortion.jacobian(self.image_px);
+        let [uu, uv, vv] = self.noise_px2();
+        let covariance = jacobian * DMat2::from_cols_array(&[uu, uv, uv, vv]) * jacobian.transpose();
+        Self {
+            image_px: distortion.undistorted(self.image_px),
+            sigma_px: (0.5 * (covariance.x_axis.x + covariance.y_axis.y)).sqrt(),
+            covariance_px2: covariance.to_cols_array_2d(),
+            radius_px: self.radius_px * jacobian.determinant().sqrt(),
+            ..*self
+        }
+    }
 }
 
 /// All shadows found.

@@ -1,6 +1,8 @@
 //! What is known of the beads: names, places, sizes.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
+
+use super::place_covariance::{LEAST_MM, PlaceCovariance};
 
 /// Standard deviation, per axis in mm, of a bead's position when its description gives none: good CT with sub-voxel centres.
 pub const DEFAULT_SIGMA_MM: f64 = 0.1;
@@ -19,8 +21,11 @@ pub struct Bead {
     pub lps_mm: DVec3,
     /// From `radius_mm=` of the description.
     pub radius_mm: Option<f64>,
-    /// Standard deviation of `lps_mm` per axis, from `sigma_mm=` of the description.
+    /// Standard deviation of `lps_mm` per axis, from `sigma_mm=` of the description; else, or where that contradicts the covariance, the root
+    /// mean square over axes of the latter.
     pub sigma_mm: Option<f64>,
+    /// Covariance of `lps_mm`, from `covariance_mm2=` of the description; it counts where both are stated.
+    pub covariance_mm2: Option<PlaceCovariance>,
 }
 
 impl Bead {
@@ -28,6 +33,30 @@ impl Bead {
     #[must_use]
     pub fn sigma_or_default_mm(&self) -> f64 {
         self.sigma_mm.unwrap_or(DEFAULT_SIGMA_MM)
+    }
+
+    /// Covariance of `lps_mm` as the layout states it, by one standard deviation for all axes too; `None` where it states neither, or none
+    /// that a place has.
+    #[must_use]
+    pub fn stated_mm2(&self) -> Option<PlaceCovariance> {
+        let alike = |sigma_mm: f64| {
+            let mm2 = DMat3::from_diagonal(DVec3::splat(sigma_mm.powi(2)));
+            PlaceCovariance::new(mm2.to_cols_array_2d()).ok()
+        };
+        self.covariance_mm2.or_else(|| self.sigma_mm.and_then(alike))
+    }
+
+    /// Covariance of `lps_mm`, positive definite: as it is stated, else the same along every axis.
+    #[must_use]
+    pub fn place_mm2(&self) -> DMat3 {
+        let alike = || DMat3::from_diagonal(DVec3::splat(self.sigma_or_default_mm().max(LEAST_MM).powi(2)));
+        self.covariance_mm2.map_or_else(alike, |own| own.mm2())
+    }
+
+    /// Standard deviation of `lps_mm` along the direction that is known worst.
+    #[must_use]
+    pub fn most_sigma_mm(&self) -> f64 {
+        self.covariance_mm2.map_or_else(|| self.sigma_or_default_mm(), |own| own.most_sigma_mm())
     }
 }
 

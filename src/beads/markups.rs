@@ -2,19 +2,25 @@
 
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use serde_json::Value;
 
 use super::markups_error::BeadsError;
+use super::place_covariance::PlaceCovariance;
 use super::{Bead, BeadLayout, DEFAULT_BODY, Landmark};
 use crate::foreign::read_small;
 use crate::geometry::lps_from_ras;
 use crate::table::{cells_of, unmarked};
 
+/// A stated `sigma_mm` says the same as the covariance beside it where the two differ by no more than this share, and mm: rounded digits.
+const SAME_SIGMA: (f64, f64) = (0.02, 1e-4);
+
 struct Point {
     label: String,
     description: String,
     lps_mm: DVec3,
+    /// Whether the file gives it along R, A and S.
+    is_ras: bool,
 }
 
 struct Points {
@@ -22,8 +28,8 @@ struct Points {
     notes: Vec<String>,
 }
 
-/// Beads of a Slicer markups file. `radius_mm=`, `sigma_mm=`, `body=` and `role=check` are read from the descriptions; points whose status
-/// is not defined are skipped.
+/// Beads of a Slicer markups file. `radius_mm=`, `sigma_mm=`, `covariance_mm2=`, `body=` and `role=check` are read from the descriptions;
+/// points whose status is not defined are skipped. A covariance is along the axes of the file's positions, in mm² whatever their unit.
 ///
 /// # Errors
 /// Every form of damage, each with the file, the place and what was expected; also duplicate names and a list without a bead to solve from.
@@ -39,11 +45,22 @@ pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsErr
     layout(path, parse_points(path, content)?)
 }
 
-fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, BeadsError> {
+fn layout(path: &Path, Points { points, mut notes }: Points) -> Result<BeadLayout, BeadsError> {
     let (mut beads, mut checks) = (Vec::new(), Vec::new());
+    let (mut turned, mut contradicted) = (0, 0);
     for point in points {
-        let (bead, is_check) = bead(path, point)?;
+        let is_ras = point.is_ras;
+        let Described { bead, is_check, is_contradicted } = bead(path, point)?;
+        turned += usize::from(is_ras && bead.covariance_mm2.is_some());
+        contradicted += usize::from(is_contradicted);
         if is_check { checks.push(bead) } else { beads.push(bead) }
+    }
+    if turned > 0 {
+        notes.push(format!("the covariance_mm2 of {turned} beads is taken along R, A and S, as the file gives their positions"));
+    }
+    if contradicted > 0 {
+        notes
+            .push(format!("the sigma_mm of {contradicted} beads is left aside: their covariance_mm2 says otherwise, and counts"));
     }
     if beads.is_empty() {
         return Err(BeadsError::OnlyChecks { path: path.to_owned(), checks: checks.len() });
@@ -71,8 +88,16 @@ fn landmarks(Points { points, .. }: Points) -> Vec<Landmark> {
     points.into_iter().map(|point| Landmark { name: point.label, lps_mm: point.lps_mm }).collect()
 }
 
-/// The bead, and whether it is one to check poses by.
-fn bead(path: &Path, point: Point) -> Result<(Bead, bool), BeadsError> {
+/// A bead as its point describes it.
+struct Described {
+    bead: Bead,
+    /// It is one to check poses by.
+    is_check: bool,
+    /// Its `sigma_mm` says other than its covariance.
+    is_contradicted: bool,
+}
+
+fn bead(path: &Path, point: Point) -> Result<Described, BeadsError> {
     let value = |key: &str| {
         point
             .description
@@ -86,6 +111,16 @@ fn bead(path: &Path, point: Point) -> Result<(Bead, bool), BeadsError> {
             _ => Err(BeadsError::Description { path: path.to_owned(), name: point.label.clone(), key, found: text }),
         },
     };
+    let covariance_mm2 = match value("covariance_mm2") {
+        None => None,
+        Some(found) => match found.parse::<PlaceCovariance>() {
+            Ok(own) if point.is_ras => Some(own.turned(&DMat3::from_diagonal(lps_from_ras(DVec3::ONE)))),
+            Ok(own) => Some(own),
+            Err(fault) => {
+                return Err(BeadsError::Covariance { path: path.to_owned(), name: point.label, found, fault });
+            }
+        },
+    };
     let is_check = match value("role").as_deref() {
         None => false,
         Some("check") => true,
@@ -94,14 +129,19 @@ fn bead(path: &Path, point: Point) -> Result<(Bead, bool), BeadsError> {
             return Err(BeadsError::Role { path: path.to_owned(), name, found });
         }
     };
+    let stated_mm = positive("sigma_mm", 0.0)?;
+    let of_covariance_mm = covariance_mm2.map(|own| own.sigma_mm());
+    let differ = |(one, other): (f64, f64)| !((one - other).abs() <= SAME_SIGMA.0 * one.max(other) + SAME_SIGMA.1);
+    let is_contradicted = stated_mm.zip(of_covariance_mm).is_some_and(differ);
     let bead = Bead {
         radius_mm: positive("radius_mm", f64::MIN_POSITIVE)?,
-        sigma_mm: positive("sigma_mm", 0.0)?,
+        sigma_mm: stated_mm.filter(|_| !is_contradicted).or(of_covariance_mm),
+        covariance_mm2,
         body: value("body").filter(|body| !body.is_empty()).unwrap_or_else(|| DEFAULT_BODY.to_owned()),
         lps_mm: point.lps_mm,
         name: point.label,
     };
-    Ok((bead, is_check))
+    Ok(Described { bead, is_check, is_contradicted })
 }
 
 fn read_points(path: &Path) -> Result<Points, BeadsError> {
@@ -237,7 +277,7 @@ fn read_json(path: &Path, bytes: &[u8]) -> Result<(Points, usize), BeadsError> {
             }
             let lps_mm = if ras { lps_from_ras(position) } else { position };
             let description = text("description").unwrap_or_default();
-            read.points.push(Point { label, description, lps_mm });
+            read.points.push(Point { label, description, lps_mm, is_ras: ras });
         }
     }
     Ok((read, skipped))
@@ -300,7 +340,8 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
             });
         };
         let lps_mm = if ras { lps_from_ras(position) } else { position };
-        read.points.push(Point { label, description: cell("desc").unwrap_or_default().to_owned(), lps_mm });
+        let description = cell("desc").unwrap_or_default().to_owned();
+        read.points.push(Point { label, description, lps_mm, is_ras: ras });
     }
     Ok((read, skipped))
 }

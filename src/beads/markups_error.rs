@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use super::place_covariance::CovarianceFault;
+
 /// Why a file of beads or landmarks is unusable.
 #[derive(Debug, thiserror::Error)]
 pub enum BeadsError {
@@ -76,6 +78,18 @@ pub enum BeadsError {
         key: &'static str,
         /// What is there.
         found: String,
+    },
+    /// A covariance that is none.
+    #[error("{path}: point {name:?}: covariance_mm2={found} in its description {fault}", path = path.display())]
+    Covariance {
+        /// The file.
+        path: PathBuf,
+        /// The label.
+        name: String,
+        /// What is there.
+        found: String,
+        /// What is wrong with it.
+        fault: CovarianceFault,
     },
     /// A role that beads do not have.
     #[error("{path}: point {name:?}: role={found} in its description; the only role is check, of beads on which no pose may rest", path = path.display())]

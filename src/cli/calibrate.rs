@@ -12,7 +12,7 @@ use super::calibrate_robot::{self, RobotArgs};
 use super::calibrate_robot_error::CalibrateRobotError;
 use super::read_aloud::frames_aloud;
 use super::spectrum::FilterArg;
-use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas};
+use crate::acquire::{AcquireError, AddedFilter, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
 use crate::image::{
     ImageFileError, check_writable, refuse_overwrite, refuse_same_content, sha256_file, write_atomically, write_tiff_f32,
@@ -35,7 +35,7 @@ pub enum CalibrateWhat {
     Beads(BeadsArgs),
     /// A C-arm from a few bead shots: offsets, source to isocentre, detector, axes and gravity sag.
     Carm(CarmArgs),
-    /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
+    /// The panel: offset, gain by photon transfer, air signal by tube voltage and filter, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
     /// A bead layout: measured from shots of a phantom, or scored: does it resemble itself, is it flat, how well will it fix a pose.
     Layout(LayoutArgs),
@@ -45,14 +45,15 @@ pub enum CalibrateWhat {
     Robot(RobotArgs),
 }
 
-/// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
+/// The panel: offset, gain by photon transfer, air signal by tube voltage and filter, bad pixels, noise power, MTF.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:
   sidecarm calibrate detector air-*.dcm --dark dark-*.dcm --filter aluminium=4.3 --out detector.json
   sidecarm calibrate detector air-*.tif --dark dark-*.tif --kvp 90 --mas 1,1,2,2,4,4 --bits 14 --out detector.json
 
 Take two or more frames per exposure with nothing in the beam and the collimator open, at three exposures or more, and darks with the tube
-off. Tube voltage and mAs come from the files where they state them. DETECTOR.json holds the numbers, DETECTOR.tif beside it the maps; a
+off; and that for every tube voltage and filter that is used. Voltage, mAs and filter come from the files where they state them. A frame is
+later corrected by air frames of its own filter, and by none of another without a word. DETECTOR.json holds the numbers, DETECTOR.tif beside it the maps; a
 session uses them as \"detector\": \"detector.json\". Exit code 1: the frames contradict each other (said which).")]
 pub struct DetectorArgs {
     /// Air frames: DICOM, PNG or TIFF with stored values
@@ -70,9 +71,13 @@ pub struct DetectorArgs {
     /// mAs of the air frames in order, where they do not state it; several images of one file count singly
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub mas: Vec<f64>,
-    /// Filtration of the tube, all of it: gives photons per quantum; may be given several times
+    /// Filtration of the tube: gives photons per quantum; may be given several times. Of a material that is named it is all, what the air
+    /// frames state of others comes on top
     #[arg(long, value_name = "MATERIAL=MM")]
     pub filter: Vec<FilterArg>,
+    /// What was put into the beam, of air frames that do not state it: none, or as copper=0.2,aluminium=1
+    #[arg(long, value_name = "LIST")]
+    pub added_filter: Option<AddedFilter>,
     /// The panel counts photons instead of adding up their energy
     #[arg(long)]
     pub counting: bool,
@@ -176,8 +181,8 @@ fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
     let origin = origin(args, &air);
     let measurement = Measurement {
         air: air_frames(args, &air)?,
-        dark: dark.iter().map(|frame| panel_frame(frame, None, None)).collect(),
-        edge: edge.map(|frame| panel_frame(&frame, None, None)),
+        dark: dark.iter().map(|frame| panel_frame(frame, None, None, None)).collect(),
+        edge: edge.map(|frame| panel_frame(&frame, None, None, args.added_filter.as_ref())),
         filter: (!filter.is_empty()).then(|| filter.join(",")),
         spectrum_moments_kev,
         bits: args.bits.or_else(|| first.and_then(bits_of)),
@@ -231,11 +236,12 @@ fn origin(args: &DetectorArgs, air: &[Frame]) -> String {
     format!("{said}; {taken}; calibrate detector of sidecarm {}", env!("CARGO_PKG_VERSION"))
 }
 
-fn panel_frame(frame: &Frame, kvp: Option<f64>, mas: Option<f64>) -> PanelFrame {
+fn panel_frame(frame: &Frame, kvp: Option<f64>, mas: Option<f64>, filter: Option<&AddedFilter>) -> PanelFrame {
     PanelFrame {
         label: frame.name.clone(),
         pixels: frame.pixels.clone(),
         tube_kvp: frame.tags.kvp.or(kvp),
+        filter: AddedFilter::of(&frame.tags, None).or_else(|| filter.cloned()),
         exposure_mas: mas.or_else(|| exposure_mas(&frame.tags)),
         source_to_detector_mm: frame.tags.sid_mm,
     }
@@ -252,7 +258,8 @@ fn air_frames(args: &DetectorArgs, air: &[Frame]) -> Result<Vec<PanelFrame>, Cal
     if let Some(wrong) = args.mas.iter().find(|mas| !(**mas > 0.0 && mas.is_finite())) {
         return Err(CalibrateError::Option { option: "--mas", found: wrong.to_string(), expected: "positive numbers".into() });
     }
-    Ok(air.iter().enumerate().map(|(at, frame)| panel_frame(frame, args.kvp, args.mas.get(at).copied())).collect())
+    let filter = args.added_filter.as_ref();
+    Ok(air.iter().enumerate().map(|(at, frame)| panel_frame(frame, args.kvp, args.mas.get(at).copied(), filter)).collect())
 }
 
 /// ⟨E⟩ and ⟨E²⟩ of a tungsten tube behind `filter` (`aluminium=4.3,copper=0.1`); anode angle 12 degrees, to which they hardly respond.
@@ -277,7 +284,8 @@ fn write(calibration: &mut DetectorCalibration, path: &Path, maps_path: &Path) -
     let mut pages = vec!["offset_value".to_owned(), "bad pixels: 1 dead, 2 hot, 4 unstable, added".to_owned()];
     pages.extend(record.beams.iter().map(|beam| {
         let kvp = beam.tube_kvp.map_or_else(|| "tube voltage not stated".to_owned(), |kvp| format!("{kvp:.0} kVp"));
-        format!("air signal relative to its median, {kvp}, filter {}", beam.filter.as_deref().unwrap_or("not stated"))
+        let added = beam.added_filter.as_ref().map(|filter| format!(", {}", filter.words())).unwrap_or_default();
+        format!("air signal relative to its median, {kvp}{added}, filter {}", beam.filter.as_deref().unwrap_or("not stated"))
     }));
     let file = PathBuf::from(maps_path.file_name().unwrap_or_default());
     record.maps = Some(MapsFile { file, sha256: sha256_file(maps_path)?, pages });
@@ -306,8 +314,9 @@ fn table(calibration: &DetectorCalibration) -> String {
     for beam in &record.beams {
         let percent = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{:.2} %", 100.0 * value));
         text += &format!(
-            "{} kVp: gain {} per quantum ± {}, air {} per mAs ± {}, {} quanta ({} photons) per pixel and mAs, heel {}\n",
+            "{} kVp{}: gain {} per quantum ± {}, air {} per mAs ± {}, {} quanta ({} photons) per pixel and mAs, heel {}\n",
             number(beam.tube_kvp, 0),
+            beam.added_filter.as_ref().map(|filter| format!(" with {}", filter.words())).unwrap_or_default(),
             number(beam.gain_value_per_quantum, 4),
             percent(beam.gain_relative_sigma),
             number(beam.air_value_per_mas, 2),

@@ -32,7 +32,7 @@ struct AngleRow {
 /// When a file cannot be read or written, an option makes no sense, or no grid or phantom is recognised.
 pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateIntensifierError> {
     let disc = check(args)?;
-    let phantom = phantom(args)?;
+    let phantom = phantom(args, reporter)?;
     let listed = args.angles.as_deref().map(read_angles).transpose()?;
     let progress = reporter.progress("reading", args.grid.len() as u64);
     let mut frames = Vec::new();
@@ -57,7 +57,7 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     let taken = dates.into_iter().collect::<Vec<_>>().join(", ");
     let taken = if taken.is_empty() { "date of the frames not stated".to_owned() } else { format!("frames of {taken}") };
     let origin = format!("{said}; {taken}; calibrate intensifier of sidecarm {}", env!("CARGO_PKG_VERSION"));
-    let calibration = match &phantom {
+    let mut calibration = match &phantom {
         Some(phantom) => {
             let progress = reporter.progress("finding the beads", frames.len() as u64);
             let request = phantom.request(args, &frames, (disc, angles_from, glare, origin))?;
@@ -65,6 +65,8 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
         }
         None => calibrate(&frames, &grid_request(args, disc, angles_from, glare, origin))?,
     };
+    calibration.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
+    calibration.notes.extend(phantom.into_iter().flat_map(|phantom| phantom.doubts));
     let text = serde_json::to_string_pretty(&calibration).unwrap_or_default();
     write_atomically(&args.out, |file| file.write_all(format!("{text}\n").as_bytes()))?;
     if args.json {
@@ -72,7 +74,6 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     } else {
         print!("{}", table(&calibration));
     }
-    calibration.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
     Ok(0)
 }
 

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use super::calibrate_intensifier_args::IntensifierArgs;
 use super::calibrate_intensifier_error::CalibrateIntensifierError;
+use super::shot_files::{doubted, read_priors};
 use crate::beads::{BeadLayout, read_markups};
 use crate::calibrate::intensifier::{GridFrame, PhantomRequest};
 use crate::geometry::{AnglesFrom, Glare};
 use crate::mask::Disc;
 use crate::pose::{IntrinsicsFile, Prior, whole_binning};
+use crate::reporter::Reporter;
 
 /// What is known of the phantom before a frame is looked at.
 pub(super) struct Phantom {
@@ -17,19 +19,23 @@ pub(super) struct Phantom {
     intrinsics: (IntrinsicsFile, PathBuf),
     /// None, or one for each frame.
     priors: Vec<Prior>,
+    /// Of frames whose priors are in doubt, why.
+    pub doubts: Vec<String>,
 }
 
-/// The phantom that was given; `None`: the frames show a grid.
-pub(super) fn phantom(args: &IntensifierArgs) -> Result<Option<Phantom>, CalibrateIntensifierError> {
+/// The phantom that was given; `None`: the frames show a grid. Priors in doubt are warned of.
+pub(super) fn phantom(args: &IntensifierArgs, reporter: &Reporter) -> Result<Option<Phantom>, CalibrateIntensifierError> {
     let Some((beads, k)) = args.beads.as_deref().zip(args.intrinsics.as_ref()) else { return Ok(None) };
     let (priors, frames) = (args.prior.len(), args.grid.len());
     if !(priors == 0 || priors == frames) {
         return Err(CalibrateIntensifierError::Priors { priors, frames });
     }
+    let (priors, doubts) = read_priors(&args.prior)?;
     Ok(Some(Phantom {
         layout: read_markups(beads)?,
         intrinsics: (IntrinsicsFile::read(k)?, k.clone()),
-        priors: args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?,
+        priors,
+        doubts: doubted(&args.grid, &doubts, reporter),
     }))
 }
 

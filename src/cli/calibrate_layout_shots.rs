@@ -8,7 +8,7 @@ use clap::Args;
 use super::calibrate_carm::read_joints;
 use super::calibrate_layout_error::CalibrateShotsError;
 use super::read_aloud::frame_aloud;
-use super::shot_files::{pretty, read_json, shot_name};
+use super::shot_files::{doubted, pretty, read_json, read_priors, shot_name};
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Expectation, detect};
 use crate::calibrate::carm::Sensors;
@@ -86,6 +86,7 @@ pub fn run(
     check_writable(out)?;
     let distances = distances(args)?;
     let rough = RoughCameras::read(shots, args)?;
+    let doubts = rough.doubts(shots, reporter);
     let file = intrinsics.map(IntrinsicsFile::read).transpose()?;
     let mut seen = Vec::new();
     let progress = reporter.progress("finding beads", shots.len() as u64);
@@ -102,7 +103,9 @@ pub fn run(
         bead_radius_mm: args.bead_radius,
         distances: &distances,
     };
-    let phantom = measure(&asked)?;
+    let mut phantom = measure(&asked)?;
+    phantom.warnings.iter().for_each(|warning| reporter.note(format_args!("warning: {warning}")));
+    phantom.warnings.extend(doubts);
     let report = pretty(&phantom);
     for (path, text) in outputs.iter().zip([&pretty(&markups(&phantom, args.bead_radius)), &report]) {
         write_atomically(path, |file| file.write_all(text.as_bytes()))?;
@@ -115,7 +118,6 @@ pub fn run(
     for left in &phantom.left_out_shots {
         reporter.warn("shot left out", format_args!("{}: {}", left.shot, left.reason));
     }
-    phantom.warnings.iter().for_each(|warning| reporter.note(format_args!("warning: {warning}")));
     Ok(if phantom.left_out_shots.is_empty() { 0 } else { 3 })
 }
 
@@ -150,7 +152,7 @@ fn distances(args: &ShotsArgs) -> Result<Vec<Distance>, CalibrateShotsError> {
 /// Where the cameras were, as far as stated.
 enum RoughCameras {
     Joints { carm: Box<CarmCalibration>, sigma: ArmSigma, joints: BTreeMap<String, CarmJoints> },
-    Priors { priors: Vec<Prior>, covariances: Vec<Covariance> },
+    Priors { priors: Vec<Prior>, covariances: Vec<Covariance>, doubts: Vec<Option<String>> },
 }
 
 impl RoughCameras {
@@ -176,9 +178,17 @@ impl RoughCameras {
         if args.prior.len() != shots.len() {
             return Err(CalibrateShotsError::Priors { priors: args.prior.len(), shots: shots.len() });
         }
-        let priors: Vec<Prior> = args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?;
+        let (priors, doubts) = read_priors(&args.prior)?;
         let covariances = Cameras::by_priors(&priors);
-        Ok(Self::Priors { priors, covariances })
+        Ok(Self::Priors { priors, covariances, doubts })
+    }
+
+    /// Which shots' priors are in doubt, and why; it is warned of as well.
+    fn doubts(&self, shots: &[PathBuf], reporter: &Reporter) -> Vec<String> {
+        match self {
+            Self::Joints { .. } => Vec::new(),
+            Self::Priors { doubts, .. } => doubted(shots, doubts, reporter),
+        }
     }
 
     /// Where they come from, and whose axes the layout has.
@@ -240,7 +250,7 @@ impl RoughCameras {
                     camera.map_err(|error| CalibrateShotsError::Camera { shot: name.clone(), detail: error.to_string() })?;
                 (camera, of_file.unwrap_or(k), covariance)
             }
-            Self::Priors { priors, covariances } => {
+            Self::Priors { priors, covariances, .. } => {
                 let k: Option<Intrinsics> = of_file.or_else(|| intrinsics_of(&frame).map(|(k, ..)| k));
                 let k = k.ok_or_else(|| CalibrateShotsError::NoIntrinsics { shot: name.clone() })?;
                 (priors[number].camera_from_lps, k, covariances[number])
@@ -261,7 +271,7 @@ fn shadows(frame: &Frame) -> Vec<ShotShadow> {
     let sized = frame.domain == Domain::Linear || in_nepers;
     let shadow = |own: &Detection| ShotShadow {
         image_px: own.image_px,
-        sigma_px: own.sigma_px,
+        noise_px2: own.noise_px2(),
         radius_px: sized.then_some(own.radius_px),
     };
     let finite = |own: &&Detection| own.image_px.is_finite() && own.sigma_px.is_finite();

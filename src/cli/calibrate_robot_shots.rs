@@ -100,7 +100,12 @@ impl Taken<'_> {
     fn shot(&mut self, name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], carrier: Option<Rigid>) {
         let shot = carrier.ok_or(NoShot::NotTracked).and_then(|carrier| Shot::of(name, frame, pose, readings_deg, carrier));
         match shot {
-            Ok(shot) => self.shots.push(shot),
+            Ok(shot) => {
+                if let Some(words) = &shot.doubt {
+                    self.reporter.warn("pose in doubt", format_args!("{name} is a shot, but its pose is in doubt: {words}"));
+                }
+                self.shots.push(shot);
+            }
             Err(why) => self.reporter.note(format_args!("note: {name} is no shot: {why}")),
         }
     }

@@ -1,27 +1,26 @@
 //! `sidecarm check`: everything that a session needs, before the session.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::line_checks::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
-use crate::acquire::{Domain, read_frames};
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::Renderer;
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
-use crate::session::crosscheck::{
-    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, check_video, rehearse,
-};
+use crate::session::crosscheck::{Finding, Level, check_disk, check_listened, check_ports, check_session, check_video, refusal};
 use crate::session::file::{SessionFileError, Setup};
-use crate::session::import::Import;
+use crate::session::newest::check_newest;
+use crate::session::rehearsal::rehearse;
 use crate::time::Stopwatch;
 
-/// Check a session before it starts: ports, files, beads, units, disk, and one synthetic exposure through the whole path.
+/// Check a session before it starts: ports, files, beads, units, disk, the newest frame that is there, and one synthetic exposure through the
+/// whole path.
 ///
-/// A line per check: pass, warn or fail, with what to do. Exit code 0 when nothing failed, else 1. Ports are only listened to.
+/// A line per check: pass, warn or fail, with what to do. Exit code 0 when nothing failed, else 1. Ports are only listened to, and nothing is
+/// written but what is removed again.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm check session.json && sidecarm live session.json --out run-1")]
 pub struct CheckArgs {
@@ -131,12 +130,17 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
         check_listened(&loaded.setup, loaded.scene.as_ref(), &line.listened).into_iter().for_each(tell);
     }
     let Some(scene) = &loaded.scene else { return };
-    check_session(&loaded.setup, scene, loaded.layout.as_ref()).into_iter().for_each(tell);
-    check_newest_frame(&loaded, scene, &tell);
+    let findings = check_session(&loaded.setup, scene, loaded.layout.as_ref());
+    if let Some(layout) = &mut loaded.layout {
+        layout.refused = refusal(&findings);
+    }
+    findings.into_iter().for_each(tell);
+    reporter.note("check: reading the newest frame");
+    check_newest(&loaded.setup, scene, loaded.layout.as_ref()).into_iter().for_each(tell);
     let Some(layout) = &loaded.layout else { return };
     reporter.note("check: one synthetic exposure through the whole path");
     match Renderer::new(DeviceChoice::Auto, &Reporter::silent()) {
-        Ok(mut renderer) => tell(rehearse(&loaded.setup, scene, layout, &mut renderer)),
+        Ok(renderer) => tell(rehearse(&loaded.setup, scene, layout, renderer)),
         Err(error) => {
             tell(Finding::fail("synthetic exposure", error.to_string(), "check the graphics driver, or run without a GPU"))
         }
@@ -204,48 +208,4 @@ fn load(loaded: &mut Loaded, tell: &dyn Fn(Finding)) {
             }
         },
     }
-}
-
-/// A frame that is there already tells the size, pitch, distance, voltage and filter of those to come.
-fn check_newest_frame(loaded: &Loaded, scene: &Scene, tell: &dyn Fn(Finding)) {
-    let Ok(entries) = std::fs::read_dir(&loaded.setup.session.frames.folder) else { return };
-    let dated = entries.flatten().filter_map(|entry| {
-        let metadata = entry.metadata().ok().filter(std::fs::Metadata::is_file)?;
-        Some((metadata.modified().ok()?, entry.path()))
-    });
-    let Some((_, path)) = dated.max() else { return };
-    let setup = &loaded.setup;
-    // A file of another kind in the folder is no fault of the session.
-    let Ok(frames) = read_frames(&path, setup.domain()) else { return };
-    let Some(read) = frames.into_iter().next() else { return };
-    let imported = Import::of(setup).frame(&Arc::new(read));
-    for (kind, words) in &imported.warnings {
-        tell(Finding::warn(kind, words, "correct \"console\" or \"detector\" in the session, or the calibration that it names"));
-    }
-    let frame = imported.frame.as_ref();
-    let carm = setup.carm_of_frame(frame);
-    let findings = check_exposure(&ExposureFacts {
-        frame,
-        carm: carm.as_ref(),
-        scene,
-        scene_json: &setup.scene_json,
-        beam: None,
-        from_beads: None,
-        nominal: None,
-        centre_lps_mm: None,
-        shuttered_share: None,
-    });
-    if frame.domain == Domain::Unknown {
-        let detail = format!(
-            "{}: nothing says what its values mean: which of them are brighter is guessed, and no score in nepers is made",
-            frame.name
-        );
-        tell(Finding::warn("frame values", detail, "name \"domain\" in the session: linear, log or display"));
-    }
-    if findings.is_empty() {
-        let [columns, rows] = frame.size_px;
-        let fits = if carm.is_some() { ", as the calibration has it" } else { "" };
-        tell(Finding::pass("newest frame", format!("{}: {columns} x {rows} px, {} values{fits}", frame.name, frame.domain)));
-    }
-    findings.into_iter().for_each(tell);
 }

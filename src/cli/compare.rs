@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::compare_origin::{Given, OriginError, doubts, view_of};
 use super::compare_table::table;
@@ -17,8 +17,10 @@ use crate::compare::{
 use crate::foreign::read_small;
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
-use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
-use crate::pose::{BeadResidual, Pose, PoseFileError};
+use crate::image::{
+    Image, ImageFileError, beside, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb,
+};
+use crate::pose::{Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
 use crate::report::{PairMarks, Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
@@ -181,6 +183,8 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     }
     if let Some(path) = &args.detector {
         frame = DetectorCalibration::apply_file(path, &frame, window)?;
+        let doubt = frame.correction.as_ref().and_then(|correction| correction.flood_doubt.as_ref());
+        doubt.into_iter().for_each(|doubt| reporter.warn("flood of another filter", doubt));
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_flags(&beside(&args.simulated, "valid.png"))?;
@@ -206,12 +210,13 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     let doubts = doubts(&given)?;
     let posed = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| posed_scene(scene, pose, view));
     let posed_scene = posed.transpose()?;
-    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, posed_scene.as_ref())).unwrap_or_default();
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| bead_marks(pose, &view, posed_scene.as_ref(), |_| None));
+    let beads = beads.unwrap_or_default();
     let guessed = match &posed_scene {
         Some(scene) => guessed(scene)?,
         None => read_flags(&beside(&args.simulated, "guessed.png"))?,
     };
-    let tool = posed_scene.as_ref().zip(view.as_ref()).and_then(|(scene, view)| tool_mask(scene, view));
+    let tool = posed_scene.as_ref().and_then(tool_mask);
     let input = CompareInput {
         valid: valid.as_ref(),
         guessed: guessed.as_ref(),
@@ -270,14 +275,6 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     Ok(0)
 }
 
-/// `IMAGE.tif` → `IMAGE.tif.suffix`.
-fn beside(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".");
-    name.push(suffix);
-    PathBuf::from(name)
-}
-
 /// What `render` wrote about an image; null where there is nothing.
 fn described(path: &Path) -> serde_json::Value {
     let bytes = read_small(&beside(path, "json")).ok();
@@ -323,17 +320,6 @@ fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
     Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
 }
 
-/// Beads by the pose's file; a matched shadow tells the size.
-fn marks(pose: &Pose, view: &View, scene: Option<&Scene>) -> Vec<(DVec2, f64)> {
-    let camera_from_lps = view.camera_from_lps;
-    let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
-    let radius_mm = |bead: &BeadResidual| {
-        let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name))?;
-        Some(shadow.radius_px * camera_from_lps.transform_point(bead.lps_mm).z / full_fx)
-    };
-    bead_marks(pose.beads.iter().map(|bead| (pose.place_of(&bead.body, bead.lps_mm), radius_mm(bead))), view, scene)
-}
-
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
     pose.centroid_lps_mm.or_else(|| scene?.bounds().map(|(centre, _)| centre))
 }
@@ -341,7 +327,7 @@ fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
 fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
     // Of poses that are wrong on purpose nothing is to be said: some look past the specimen.
     let mut renderer = Renderer::new(DeviceChoice::Auto, &Reporter::silent())?;
-    let asked = Asked { rel_error: SCATTER_ERROR, network: None, budget_ms: None, gpu: renderer.gpu() };
+    let asked = Asked { rel_error: SCATTER_ERROR, network: None, budget_ms: None, gpu: renderer.gpu(), keep: None };
     let found = scene.view.as_ref().map_or(Ok(None), |view| scattered(scene, view, &asked, reporter));
     let scatter = found.unwrap_or_else(|error| {
         let words = format!("no scatter in the null, whatever SIMULATED has: {error}");
@@ -391,6 +377,7 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>, scene: Optio
     strip(&StripInput {
         acquired: frame,
         pictures: Some(&*compared.pictures),
+        masks: None,
         without: None,
         marks: pose.map(|pose| marked(pose, scene)).as_ref(),
         standing,

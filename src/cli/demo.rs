@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 use super::live::{stop_on_signals, watch};
 use crate::geometry::Projection;
+use crate::regular;
 use crate::report::{Pair, TruthError};
 use crate::reporter::Reporter;
 use crate::session::file::{SessionFileError, Setup};
@@ -187,7 +188,7 @@ impl Drop for MockLab {
 /// Adds to each pair how far the pose used puts the landmarks from where they are, in `pairs.json` and the report.
 fn judge(folder: &mut Folder, truth: &Path) -> Result<(), DemoError> {
     let wrong = |detail: String| DemoError::Mock { detail: format!("{}: {detail}", truth.display()) };
-    let text = std::fs::read_to_string(truth).map_err(|error| wrong(error.to_string()))?;
+    let text = regular::read_text(truth).map_err(|error| wrong(error.to_string()))?;
     let truth: Truth = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
     for pair in &mut folder.pairs {
         let known = truth.frames.iter().find(|frame| same_file(&frame.frame, &pair.frame));
@@ -221,7 +222,7 @@ fn same_file(a: &str, b: &str) -> bool {
 fn print_table(folder: &Folder) {
     println!("{}", crate::report::counted(&folder.pairs));
     println!(
-        "{:<12}{:>16}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
+        "{:<12}{:>20}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
         "frame",
         "status",
         "pose",
@@ -241,7 +242,7 @@ fn print_table(folder: &Folder) {
         let stage = |name: &str| stages_ms.get(name).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.0} ms"));
         let small = null.get("zncc");
         println!(
-            "{frame:<12}{:>16}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
+            "{frame:<12}{:>20}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
             pair.standing().short(),
             word(pose_source),
             number(*rms_px, 3),
@@ -255,9 +256,8 @@ fn print_table(folder: &Folder) {
             stage("compare"),
         );
     }
-    println!(
-        "truth: mean distance of the landmarks in the frame from where they really are; null best: ZNCC of the best wrong pose"
-    );
+    println!("truth: mean distance of the landmarks in the frame from where they really are");
+    println!("small, best wrong: ZNCC of small pictures, at the pose and at the best wrong one");
 }
 
 /// The word that files use for a value.

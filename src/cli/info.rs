@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use crate::acquire::{AcquireError, Fault, is_dicom};
-use crate::foreign::NotRegular;
+use crate::regular::{self, NotRegular};
 use crate::reporter::{Reporter, printable};
 use crate::scene::is_ct_slice;
 
@@ -141,13 +141,13 @@ fn whole(path: &Path, bytes: Option<u64>, (kind, mut facts, losses): Found) -> I
 
 /// A text of one thing; empty where the file is none.
 fn short_text(path: &Path, bytes: u64) -> String {
-    (bytes <= LONGEST_TEXT).then(|| std::fs::read_to_string(path).ok()).flatten().unwrap_or_default()
+    (bytes <= LONGEST_TEXT).then(|| regular::read_text(path).ok()).flatten().unwrap_or_default()
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {
     use std::io::Read;
     let mut head = Vec::new();
-    std::fs::File::open(path)?.take(512).read_to_end(&mut head)?;
+    regular::open(path)?.take(512).read_to_end(&mut head)?;
     Ok(head)
 }
 

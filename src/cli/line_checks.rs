@@ -9,6 +9,7 @@ use tokio::sync::mpsc;
 use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, RobotModel};
 use crate::json::parse_json;
+use crate::regular;
 use crate::session::crosscheck::Listened;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Metadata, PortAddress, PortConfig, PortEvent, Sample, hint, spawn_port};
 use crate::time::host_now_us;
@@ -278,15 +279,13 @@ fn look_at(file: &CheckFile) -> Result<String, String> {
     if metadata.is_dir() {
         return if file.check == FileCheck::Readable { Ok("a folder".to_owned()) } else { Err("is a folder".to_owned()) };
     }
+    regular::open(&file.path).map_err(|error| error.to_string())?;
     if metadata.len() == 0 {
         return Err("is empty".to_owned());
     }
     let text = || read_small_text(&file.path).map_err(|error| error.to_string());
     match file.check {
-        FileCheck::Readable => {
-            std::fs::File::open(&file.path).map_err(|error| error.to_string())?;
-            Ok(format!("{} bytes", metadata.len()))
-        }
+        FileCheck::Readable => Ok(format!("{} bytes", metadata.len())),
         FileCheck::Json => parse::<serde_json::Value>(&text()?).map(|_| "JSON".to_owned()),
         FileCheck::CarmCalibration => parse::<CarmCalibration>(&text()?).map(|calibration| calibration.origin),
         FileCheck::RobotModel => {

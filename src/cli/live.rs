@@ -9,7 +9,9 @@ use crate::session::folder::Folder;
 use crate::session::live::{LiveOptions, run as run_session};
 use crate::session::{SessionError, Stop};
 
-/// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C.
+/// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C, or when its window is closed.
+///
+/// In the window F1 lists the keys: exposures to step through, overlays, gray values, notes, beads to edit.
 ///
 /// With "igtl": {"port": 18944} in the session file, 3D Slicer and others hear poses, pictures and lines over OpenIGTLink meanwhile.
 /// With "dicom": {"port": 11112} under "frames", consoles may send frames (C-STORE to SIDECARM); they are kept in the watched folder.

@@ -7,7 +7,6 @@ mod merge;
 mod outcome;
 mod redact;
 mod verify;
-#[cfg(feature = "vision")]
 mod video;
 
 use clap::Subcommand;
@@ -30,7 +29,6 @@ enum LogCommand {
     Merge(merge::MergeArgs),
     Csv(csv::CsvArgs),
     Redact(redact::RedactArgs),
-    #[cfg(feature = "vision")]
     Video(video::VideoArgs),
 }
 
@@ -46,7 +44,6 @@ pub fn run(args: &LogArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
         LogCommand::Merge(args) => merge::run(args, reporter),
         LogCommand::Csv(args) => csv::run(args, reporter),
         LogCommand::Redact(args) => redact::run(args, reporter),
-        #[cfg(feature = "vision")]
         LogCommand::Video(args) => video::run(args, reporter),
     }
 }

@@ -6,13 +6,14 @@ use super::read_aloud::frame_aloud;
 use super::register_args::Given;
 pub use super::register_args::RegisterArgs;
 use super::register_error::RegisterError;
+use super::register_explain;
 use super::register_seen::{Console, Seen};
 use super::register_together;
 use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{Pose, Registration, Shadow, register_masked, register_tagged};
+use crate::pose::{Pose, Registration, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -56,6 +57,10 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         None => register_masked(&request, &seen.frame, &masks),
     };
     pose.notes.extend(notes);
+    if let Some(path) = args.prior.first() {
+        pose.prior_from(&path.display().to_string());
+    }
+    pose.explained.get_or_insert_default().told = register_explain::told(args.intrinsics.as_deref(), &seen, &masks);
     if tags.is_some() && seen.prior.is_some() {
         pose.notes.push("where tags are used K is taken as stated: its sigma is left aside".to_owned());
     }
@@ -171,16 +176,7 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
     }
     lines.extend(pose.cautions.iter().map(|caution| format!("caution: {caution}")));
     if explain {
-        lines.push(format!(
-            "{:>4} {:>10} {:>10} {:>9} {:>9} {:>8}  shadows, best first",
-            "", "u px", "v px", "sigma px", "radius px", "snr"
-        ));
-        lines.extend(pose.shadows.iter().enumerate().map(|(n, shadow)| {
-            let [u, v] = shadow.image_px;
-            let made_of_it = shadow.bead.as_deref().unwrap_or("belongs to no bead");
-            let Shadow { sigma_px, radius_px, snr, .. } = shadow;
-            format!("{:>4} {u:10.3} {v:10.3} {sigma_px:9.3} {radius_px:9.2} {snr:8.1}  {made_of_it}", n + 1)
-        }));
+        lines.extend(register_explain::lines(pose));
     }
     lines.extend(pose.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n") + "\n"

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::register_error::RegisterError;
+use super::shot_files::read_priors;
 use crate::acquire::Domain;
 use crate::beads::{BeadLayout, Landmark, read_landmarks, read_markups};
 use crate::image::refuse_overwrite;
@@ -24,7 +25,7 @@ pub struct RegisterArgs {
     /// have migrated, bodies that were bumped between two frames, and single shadows that are off from each other
     #[arg(long, conflicts_with_all = ["fuse", "tags", "correspondences", "overlay", "explain"])]
     pub together: bool,
-    /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1, body=pelvis and role=check (P does not rest on it, its error is told) are read from descriptions
+    /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1, covariance_mm2=xx:xy:xz:yy:yz:zz, body=pelvis and role=check (P does not rest on it, its error is told) are read from descriptions
     #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
     pub beads: Option<PathBuf>,
     /// AprilTags: {"family": "tag36h11", "tags": [{"id": 3, "size_mm": 12.0, "lps_from_tag": 4x4 rows}, …]}; they start the search for
@@ -86,7 +87,8 @@ pub struct RegisterArgs {
     /// residuals 20 times as long as they are
     #[arg(long, value_name = "FILE.png")]
     pub overlay: Option<PathBuf>,
-    /// Print what was found in the frame as well: every shadow, and what was made of it
+    /// Print also which beads P rests on, what was made of the prior, which other readings of the frame were looked at and why they do not
+    /// stand, and every shadow with what was made of it
     #[arg(long)]
     pub explain: bool,
     /// Print the pose as JSON instead of a summary
@@ -132,8 +134,7 @@ impl Given {
         if !(priors == 0 || priors == frames) {
             return Err(RegisterError::Priors { priors, frames });
         }
-        let read = |path: &PathBuf| Prior::read_with_doubt(path);
-        let (priors, doubts) = args.prior.iter().map(read).collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+        let (priors, doubts) = read_priors(&args.prior)?;
         Ok(Self {
             layout: args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?,
             landmarks: args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default(),

@@ -90,9 +90,10 @@ impl Seen {
             (None, _) => PanelWindow::WHOLE,
         };
         let mut frame = console.map_or_else(|| stored.clone(), |console| stored.oriented(&console.geometry, panel_px));
-        let undone = frame.correction.as_ref().map(|correction| correction.console.clone()).unwrap_or_default();
+        let mut undone = frame.correction.as_ref().map(|correction| correction.console.clone()).unwrap_or_default();
         if let Some(calibration) = &args.detector {
             frame = DetectorCalibration::apply_file(calibration, &frame, window)?;
+            undone.extend(frame.correction.as_ref().and_then(|correction| correction.flood_doubt.clone()));
         }
         let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
         let Some(file) = file else {
@@ -121,9 +122,11 @@ impl Seen {
             || RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found };
         let factor = whole_binning(expected, found).ok_or_else(size)?;
         if factor == 1 {
-            return Ok(Self::plain(frame, Some(file.intrinsics), file.prior(), file.pitch_mm.or(tagged_pitch_mm)));
+            let plain = Self::plain(frame, Some(file.intrinsics), file.prior(), file.pitch_mm.or(tagged_pitch_mm));
+            return Ok(Self { notes: undone, ..plain });
         }
-        let notes = vec![format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}")];
+        let binned = format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}");
+        let notes = [undone, vec![binned]].concat();
         let factor = f64::from(factor);
         let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm);
         let prior = file.prior().map(|prior| prior.binned(factor));

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
+use crate::cli::following::{Keep, KeepArgs, forget, hashes};
 use crate::cli::scattered::{Asked, SCATTER_ERROR, ScatteredError, scattered, ways};
 use crate::compare::posed_scene;
 use crate::geometry::View;
@@ -31,6 +32,7 @@ use crate::time::StageTimes;
   sidecarm render scene.json --out drr.tif --dicom drr.dcm
 
 Where the scene's model.scatter is monte_carlo, photons are followed before the image is made: seconds to minutes, which no budget counts.
+Meanwhile IMAGE.tif.checkpoint is kept up to date: the same command, or one with another --scatter-error, goes on from there.
 Where it is network, one that `sidecarm train scatter` has made is asked: a fraction of a second.
 
 Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), IMAGE.tif.valid.png when the CT is cut off for some
@@ -59,6 +61,8 @@ pub struct RenderArgs {
     /// Where the scene has model.scatter "monte_carlo": follow photons until the median relative standard error of the scatter is no larger
     #[arg(long, value_name = "REL", default_value_t = SCATTER_ERROR)]
     pub scatter_error: f64,
+    #[command(flatten)]
+    pub keep: KeepArgs,
     /// Where the scene has model.scatter "network": the network that is asked, a path without ending, from
     /// `sidecarm train scatter` [default: the one that comes with the program]
     #[arg(long, value_name = "NAME")]
@@ -220,7 +224,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(path) = &args.pose {
         scene = posed(&scene, path)?;
     }
-    let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).chain(args.dicom.clone()).collect();
+    let [.., checkpoint] = crate::transport::written_with(&args.out);
+    let others = args.png.iter().chain(&args.dicom).chain([&checkpoint]).cloned();
+    let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(others).collect();
     let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
     refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
@@ -259,11 +265,13 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
             format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
         );
     }
+    let hashes = hashes(&args.scene, &scene)?;
     let asked = Asked {
         rel_error: positive("--scatter-error", args.scatter_error)?,
         network: args.scatter_network.as_deref(),
         budget_ms: args.budget_ms,
         gpu: renderer.gpu(),
+        keep: Some(Keep { path: &checkpoint, args: args.keep, inputs: &hashes }),
     };
     if args.quantity != QuantityArg::AreaDensity && scene.model.scatter != ScatterModel::Off {
         let view = scene.view.ok_or(RenderError::NoView)?;
@@ -312,6 +320,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     if let Some(path) = &args.dicom {
         write_dicom(path, &rendered, &scene)?;
+    }
+    if rendered.scatter.as_ref().is_some_and(|added| matches!(added.from, Origin::Photons { .. })) {
+        forget(&checkpoint)?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary(args, &rendered)).expect("plain data"));

@@ -27,7 +27,7 @@ pub struct ReplayArgs {
     /// Send what is replayed over OpenIGTLink as well, on this port of this machine; best with --rate 1.
     #[arg(long, value_name = "PORT")]
     pub igtl: Option<u16>,
-    /// Show it in a window; closing that does not end the replay.
+    /// Show it in the window of a session; closing that does not end the replay. With --rate 1 exposures come as they came.
     #[cfg(feature = "viewer")]
     #[arg(long)]
     pub window: bool,

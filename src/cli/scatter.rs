@@ -1,17 +1,17 @@
 //! `sidecarm scatter`: primary and scattered radiation of a scene by Monte Carlo.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use super::following::{Keep, KeepArgs, Pace, begin, follow, forget, gpu_or_said, hashes, lasting, needed};
 use super::render::DeviceArg;
-use super::scattered::{LONG_MS, gpu_or_said, lasting, needed};
 use crate::gpu::{Device, GpuError, cpu_name};
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
 use crate::time::{StageTimes, Stopwatch};
 use crate::transport::{
-    BATCH, Checkpoint, Estimator, GpuTransport, GpuTransportError, Histories, ScatterImage, Simulation, Tally, TransportError,
-    written_with,
+    BATCH, Estimator, GpuTransport, GpuTransportError, Histories, MOST_DOSE_VOXELS, ScatterImage, Simulation, Tally,
+    TransportError, dose_files, written_with,
 };
 
 /// Follow photons through a scene: primary, Compton once, Rayleigh once and multiple scatter on a coarse detector.
@@ -19,10 +19,13 @@ use crate::transport::{
 #[command(after_help = "Examples:
   sidecarm scatter scene.json --histories 1e8 --out scatter.tif
   sidecarm scatter scene.json --histories 1e10 --rel-error 0.01 --out scatter.tif --json
+  sidecarm scatter scene.json --histories 1e8 --out scatter.tif --dose dose.nii.gz
 
 SCATTER.tif has eight pages: primary, compton_once, rayleigh_once, multiple, then their standard errors, in units of the unattenuated
 signal. Beside it lies SCATTER.tif.json (energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs,
-SCATTER.tif.checkpoint is kept up to date: the same command goes on from there. Without beam.field in the scene the field is the image.")]
+SCATTER.tif.checkpoint is kept up to date: the same command goes on from there. Without beam.field in the scene the field is the image.
+DOSE.nii.gz is in Gy of the exposure that photons_per_pixel asks for, on the grid of the CT, coarser where that has more than half a million
+voxels. Beside it lie its standard errors, DOSE.nii.gz.error.nii.gz, and DOSE.nii.gz.json (what a single photon leaves, and where the rest is).")]
 pub struct ScatterArgs {
     /// The scene
     pub scene: PathBuf,
@@ -47,12 +50,11 @@ pub struct ScatterArgs {
     /// What follows them; a GPU has random numbers of its own, so its image agrees with the CPU's within the standard errors
     #[arg(long, value_enum, default_value = "auto")]
     pub device: DeviceArg,
-    /// Start anew where an interrupted run left a checkpoint
-    #[arg(long)]
-    pub fresh: bool,
-    /// Keep a checkpoint every so many seconds: an interrupted run loses no more
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
-    pub checkpoint_s: f64,
+    /// A map of the dose as well, a NIfTI volume; photons are then followed on the processor
+    #[arg(long, value_name = "DOSE.nii.gz", value_parser = volume_name)]
+    pub dose: Option<PathBuf>,
+    #[command(flatten)]
+    pub keep: KeepArgs,
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,
@@ -65,10 +67,10 @@ fn whole(text: &str) -> Result<u64, String> {
     if is_whole { Ok(number as u64) } else { Err(format!("{text}: expected a whole number from 1 to 1e15")) }
 }
 
-/// A time to wait.
-fn seconds(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| format!("'{text}' is no number"))?;
-    if number >= 0.0 && number.is_finite() { Ok(number) } else { Err(format!("{text}: expected seconds from 0 up")) }
+/// A name for a NIfTI volume.
+fn volume_name(text: &str) -> Result<PathBuf, String> {
+    let is_volume = [".nii", ".nii.gz"].iter().any(|ending| text.to_lowercase().ends_with(ending));
+    if is_volume { Ok(PathBuf::from(text)) } else { Err(format!("'{text}': expected a name that ends in .nii or .nii.gz")) }
 }
 
 /// `64x48`.
@@ -95,6 +97,9 @@ pub enum ScatterError {
     /// An output.
     #[error(transparent)]
     File(#[from] ImageFileError),
+    /// A dose of nothing.
+    #[error("--dose: the scene holds no matter, so that there is no dose")]
+    NoMatter,
     /// The scene has no view.
     #[error("{}: has no view; scatter needs to know where the detector is", path.display())]
     NoView {
@@ -108,17 +113,26 @@ pub enum ScatterError {
 /// # Errors
 /// When the scene is wrong, the checkpoint is of another run, or a file cannot be written.
 pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> {
-    check_writable(&args.out)?;
+    for output in std::iter::once(&args.out).chain(&args.dose) {
+        check_writable(output)?;
+    }
     let scene = scene::load(&args.scene, true, reporter)?;
-    let outputs = written_with(&args.out);
-    let inputs = scene::input_files(&args.scene, &scene);
-    refuse_overwrite(&outputs, &inputs)?;
+    let [.., checkpoint] = written_with(&args.out);
+    let outputs: Vec<PathBuf> =
+        written_with(&args.out).into_iter().chain(args.dose.iter().flat_map(|path| dose_files(path))).collect();
+    refuse_twice(&outputs)?;
+    refuse_overwrite(&outputs, &scene::input_files(&args.scene, &scene))?;
     let view = scene.view.ok_or_else(|| ScatterError::NoView { path: args.scene.clone() })?;
     let estimator = if args.analogue { Estimator::Analogue } else { Estimator::Expected };
     let seed = args.seed.unwrap_or(scene.model.seed);
     let histories = Histories { count: args.histories, seed, grid_px: args.grid_px, estimator, rel_error: args.rel_error };
     let mut stages = StageTimes::default();
-    let simulation = stages.measure("prepare", || Simulation::new(&scene, &view, histories))?;
+    let mut simulation = stages.measure("prepare", || Simulation::new(&scene, &view, histories))?;
+    if args.dose.is_some() {
+        simulation = simulation.with_dose(&scene, MOST_DOSE_VOXELS);
+        // Hours later nobody wants to hear it.
+        simulation.tally().dose_voxels().ok_or(ScatterError::NoMatter)?;
+    }
     let device = Device::open(args.device.into(), reporter)?;
     let mut gpu = stages.measure("upload", || match &device {
         Device::Cpu => Ok(None),
@@ -126,47 +140,39 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
         Device::Gpu(gpu) => GpuTransport::new(gpu, &simulation).map(Some),
     })?;
     let adapter = gpu.as_ref().map_or_else(cpu_name, |_| device.name());
-    let empty = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let hashes = hashes(&args.scene, &scene)?;
-    let [_, _, checkpoint] = &outputs;
-    // Of processors any gives the same bits.
-    let kept_of = if gpu.is_some() { adapter.as_str() } else { "cpu" };
-    let mut tally = match if args.fresh { None } else { Checkpoint::read(checkpoint)? } {
-        Some(saved) => {
-            let tally = saved.tally_for(&simulation, (kept_of, &empty), &hashes)?;
-            reporter.note(format_args!("going on after {} histories of {}", tally.histories(), checkpoint.display()));
-            tally
-        }
-        None => empty,
-    };
+    let keep = Keep { path: &checkpoint, args: args.keep, inputs: &hashes };
+    let mut tally = begin(&simulation, gpu.as_ref(), Some(&keep), reporter)?;
     let watch = Stopwatch::start();
     let before = tally.histories();
-    let write = |tally: &Tally| Checkpoint::new(simulation.histories(), kept_of, &hashes, tally).write(checkpoint);
-    let keep = Keep { every_ms: 1e3 * args.checkpoint_s, write: &write };
     transport(&simulation, gpu.as_mut(), &mut tally, &keep, reporter)?;
     stages.add("transport", watch.ms());
+    let per_second = (tally.histories() - before) as f64 / (1e-3 * watch.ms());
+    let dose = args.dose.as_ref().map(|path| {
+        let map = stages.measure("dose", || simulation.dose_map(&tally)).ok_or(ScatterError::NoMatter)?;
+        Ok::<_, ScatterError>((path, map.write(path, &scene, (&simulation, &tally, adapter.as_str()))?))
+    });
+    let dose = dose.transpose()?;
     let image = simulation.image(&tally);
     let mut json = simulation.describe(&image, &scene, &adapter);
     if let Some(map) = json.as_object_mut() {
         map.insert("stages_ms".to_owned(), serde_json::json!(stages));
     }
     image.write(&args.out, &json)?;
-    if checkpoint.is_file() {
-        std::fs::remove_file(checkpoint).map_err(|source| ImageFileError::Io { path: checkpoint.clone(), source })?;
-    }
-    let per_second = (tally.histories() - before) as f64 / (1e-3 * watch.ms());
+    forget(&checkpoint)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&json).expect("plain data"));
     } else {
         println!("{}", line(args, &image, per_second));
+        if let Some((path, said)) = dose {
+            let gy = |key: &str| said[key].as_f64().unwrap_or(f64::NAN);
+            let words = |key: &str| {
+                format!("{key} {:.3e} ± {:.1e} Gy", gy(&format!("{key}_gy")), gy(&format!("{key}_standard_error_gy")))
+            };
+            println!("{}: {}, {}", path.display(), words("mean"), words("largest"));
+        }
     }
     Ok(0)
-}
-
-/// How what is there so far is kept on disk.
-struct Keep<'a> {
-    every_ms: f64,
-    write: &'a dyn Fn(&Tally) -> Result<(), TransportError>,
 }
 
 /// Runs to the end, keeping what is there so far on disk; what will take long is said after the first step.
@@ -180,37 +186,19 @@ fn transport(
     let all = gpu.as_ref().map_or(simulation.batches() * BATCH, |gpu| gpu.histories());
     let progress = reporter.progress("histories", all);
     progress.advance(tally.histories());
-    let (before, watch, mut is_announced) = (tally.histories(), Stopwatch::start(), false);
-    let (mut shown, mut saved) = (before, Stopwatch::start());
+    let (mut pace, mut shown) = (Pace::new(tally), tally.histories());
     let after = |tally: &Tally| {
         let histories = tally.histories();
         progress.advance(histories - shown);
         shown = histories;
-        if !is_announced {
-            is_announced = true;
-            let precise = |wanted: f64| needed(histories, simulation.relative_error(tally), wanted);
-            let end = simulation.histories().rel_error.map_or(f64::INFINITY, precise).min(all as f64);
-            let left_ms = watch.ms() * (end - histories as f64) / (histories - before) as f64;
-            if left_ms > LONG_MS {
-                reporter.note(format_args!("{end:.1e} histories: about {} to go", lasting(left_ms)));
-            }
+        let precise = |wanted: f64| needed(histories, simulation.relative_error(tally), wanted);
+        let in_all = || simulation.histories().rel_error.map_or(f64::INFINITY, precise).min(all as f64);
+        if let Some((in_all, left_ms)) = pace.long(histories, in_all) {
+            reporter.note(format_args!("{in_all:.1e} histories: about {} to go", lasting(left_ms)));
         }
-        if saved.ms() > keep.every_ms {
-            (keep.write)(tally)?;
-            saved = Stopwatch::start();
-        }
-        Ok::<(), ScatterError>(())
+        true
     };
-    match gpu {
-        Some(gpu) => gpu.run(simulation, tally, after),
-        None => simulation.run(tally, after),
-    }
-}
-
-/// SHA-256 of the scene file and of what it names.
-fn hashes(path: &Path, scene: &crate::scene::Scene) -> Result<Vec<String>, ImageFileError> {
-    let named = scene.inputs.iter().map(|input| Ok(input.sha256.clone()));
-    std::iter::once(sha256_file(path)).chain(named).collect()
+    follow(simulation, gpu, tally, Some(keep), after)
 }
 
 fn line(args: &ScatterArgs, image: &ScatterImage, per_second: f64) -> String {

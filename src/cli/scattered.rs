@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::path::Path;
 
+use super::following::{Keep, Pace, begin, follow, gpu_or_said, lasting, needed};
 use crate::geometry::View;
 use crate::gpu::{Gpu, cpu_name};
 use crate::image::Image;
@@ -34,25 +35,10 @@ const MEAN_TARGET: f64 = 0.05;
 #[cfg(feature = "learn")]
 const MEAN_ERROR: &str = "mean_rms";
 
-/// What takes longer than this is announced.
-pub const LONG_MS: f64 = 10e3;
 /// Photons by which the cost of many is told.
 const PILOT_HISTORIES: u64 = 131_072;
 /// What is faster.
 const ADVICE: &str = "a larger --scatter-error takes less, model.scatter \"network\" a fraction of a second";
-
-/// Why no more photons are followed.
-enum Stop {
-    LittleScatters,
-    OutOfReach,
-    Device(GpuTransportError),
-}
-
-impl From<GpuTransportError> for Stop {
-    fn from(error: GpuTransportError) -> Self {
-        Self::Device(error)
-    }
-}
 
 /// Why nobody knows the scatter.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +65,8 @@ pub struct Asked<'a> {
     pub budget_ms: Option<f64>,
     /// What follows them, where it can; else the processor.
     pub gpu: Option<&'a Gpu>,
+    /// Where their sums are kept meanwhile, if anywhere.
+    pub keep: Option<Keep<'a>>,
 }
 
 /// Scatter of `scene` from `view`, as the scene asks for it; `None` where it asks for none, or its formation has none.
@@ -167,35 +155,9 @@ fn mean_error(_: Option<&Path>) -> Option<f64> {
     None
 }
 
-/// `simulation` on `gpu`; where it cannot be, the processor follows the photons, which is said.
-pub fn gpu_or_said<'a>(gpu: &'a Gpu, simulation: &Simulation, reporter: &Reporter) -> Option<GpuTransport<'a>> {
-    let told = |error: GpuTransportError| {
-        reporter.note(format_args!("photons are followed on {}: {error}", cpu_name()));
-    };
-    GpuTransport::new(gpu, simulation).map_err(told).ok()
-}
-
-/// Photons in all after which scatter is known to `wanted`, where the first `histories` know it to `relative_error`: errors fall with their
-/// root. Infinite where most cells have seen none.
-#[must_use]
-pub fn needed(histories: u64, relative_error: f64, wanted: f64) -> f64 {
-    histories as f64 * (relative_error / wanted).powi(2)
-}
-
 /// Whether nobody need go on after so many photons, for it would take more than anybody follows.
 fn is_out_of_reach(histories: u64, needed: f64) -> bool {
     histories >= ENOUGH_TO_TELL && !(needed <= MOST_HISTORIES as f64)
-}
-
-/// A time for people.
-#[must_use]
-pub fn lasting(ms: f64) -> String {
-    match ms / 1e3 {
-        seconds if seconds < 10.0 => format!("{seconds:.1} s"),
-        seconds if seconds < 120.0 => format!("{seconds:.0} s"),
-        seconds if seconds < 7200.0 => format!("{:.0} min", seconds / 60.0),
-        seconds => format!("{:.1} h", seconds / 3600.0),
-    }
 }
 
 /// How good scatter gets that takes so many photons to be good to `wanted`.
@@ -242,53 +204,66 @@ fn photons_cost(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<Cost, S
     Ok(Cost { ms: prepared_ms + watch.ms() / tally.histories() as f64 * followed, photons })
 }
 
+/// Follows photons until the scatter is known as well as it is asked for, or it is known that nobody need go on.
+fn followed(
+    simulation: &Simulation,
+    gpu: Option<&mut GpuTransport>,
+    asked: &Asked<'_>,
+    reporter: &Reporter,
+) -> Result<Tally, ScatteredError> {
+    let mut tally = begin(simulation, gpu.as_deref(), asked.keep.as_ref(), reporter)?;
+    let progress = reporter.progress("scatter: per mille of the photons", 1000);
+    let in_all = |tally: &Tally| needed(tally.histories(), simulation.relative_error(tally), asked.rel_error);
+    let is_enough = |tally: &Tally| {
+        let is_little = |cell: usize| {
+            let (found, primary) = (tally.scatter(cell), tally.signal(Page::Primary, cell).mean);
+            found.standard_error <= NEGLIGIBLE * (primary + found.mean)
+        };
+        let histories = tally.histories();
+        let little_scatters = histories >= ENOUGH_FOR_LITTLE && (0..simulation.unattenuated().len()).all(is_little);
+        little_scatters || is_out_of_reach(histories, in_all(tally))
+    };
+    // What an interrupted run left may have been its end.
+    if is_enough(&tally) {
+        return Ok(tally);
+    }
+    let (mut pace, mut shown) = (Pace::new(&tally), 0);
+    let after = |tally: &Tally| {
+        let (histories, in_all) = (tally.histories(), in_all(tally));
+        let done = (1000.0 * histories as f64 / in_all).min(1000.0) as u64;
+        progress.advance(done.saturating_sub(shown));
+        shown = done.max(shown);
+        if in_all <= MOST_HISTORIES as f64
+            && let Some((in_all, left_ms)) = pace.long(histories, || in_all)
+        {
+            let (percent, time) = (100.0 * asked.rel_error, lasting(left_ms));
+            reporter.note(format_args!("scatter to {percent:.2} %: {in_all:.1e} photons, about {time} to go; {ADVICE}"));
+        }
+        !is_enough(tally)
+    };
+    follow::<ScatteredError>(simulation, gpu, &mut tally, asked.keep.as_ref(), after)?;
+    Ok(tally)
+}
+
 fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Scatter, ScatteredError> {
     let (seed, rel_error) = (scene.model.seed, asked.rel_error);
     let wanted = Histories { count: MOST_HISTORIES, seed, grid_px: GRID_PX, rel_error: Some(rel_error), ..Histories::default() };
     let simulation = Simulation::new(scene, view, wanted)?;
     let cells = 0..simulation.unattenuated().len();
-    let progress = reporter.progress("scatter: per mille of the photons", 1000);
-    let (watch, mut is_announced, mut shown) = (Stopwatch::start(), false, 0);
-    let mut after = |tally: &Tally| {
-        let histories = tally.histories();
-        let in_all = needed(histories, simulation.relative_error(tally), rel_error);
-        let done = (1000.0 * histories as f64 / in_all).min(1000.0) as u64;
-        progress.advance(done.saturating_sub(shown));
-        shown = done.max(shown);
-        if !is_announced && in_all <= MOST_HISTORIES as f64 {
-            is_announced = true;
-            let left_ms = watch.ms() * (in_all / histories as f64 - 1.0);
-            if left_ms > LONG_MS {
-                let (percent, time) = (100.0 * rel_error, lasting(left_ms));
-                reporter.note(format_args!("scatter to {percent:.2} %: {in_all:.1e} photons, about {time} to go; {ADVICE}"));
-            }
-        }
-        let is_little = |cell: usize| {
-            let (found, primary) = (tally.scatter(cell), tally.signal(Page::Primary, cell).mean);
-            found.standard_error <= NEGLIGIBLE * (primary + found.mean)
-        };
-        if histories >= ENOUGH_FOR_LITTLE && cells.clone().all(is_little) {
-            return Err(Stop::LittleScatters);
-        }
-        match is_out_of_reach(histories, in_all) {
-            true => Err(Stop::OutOfReach),
-            false => Ok(()),
-        }
-    };
-    let mut found = None;
+    let (mut found, mut asked) = (None, *asked);
     if let Some(mut gpu) = asked.gpu.and_then(|gpu| gpu_or_said(gpu, &simulation, reporter)) {
-        let mut tally = gpu.tally();
-        match gpu.run(&simulation, &mut tally, &mut after) {
-            Err(Stop::Device(error)) => reporter.warn("scatter", format_args!("{error}: followed again on {}", cpu_name())),
-            _ => found = Some((tally, gpu.adapter().to_owned())),
+        match followed(&simulation, Some(&mut gpu), &asked, reporter) {
+            Err(ScatteredError::Device(error)) => {
+                reporter.warn("scatter", format_args!("{error}: followed again on {}", cpu_name()));
+                asked.keep = asked.keep.map(Keep::anew);
+            }
+            tally => found = Some((tally?, gpu.adapter().to_owned())),
         }
     }
-    let (tally, device) = found.unwrap_or_else(|| {
-        let mut tally = simulation.tally();
-        // What stops it early is no error.
-        let _ = simulation.run(&mut tally, &mut after);
-        (tally, "cpu".to_owned())
-    });
+    let (tally, device) = match found {
+        Some(found) => found,
+        None => (followed(&simulation, None, &asked, reporter)?, "cpu".to_owned()),
+    };
     let (histories, relative_error) = (tally.histories(), simulation.relative_error(&tally));
     let is_short = histories >= MOST_HISTORIES || is_out_of_reach(histories, needed(histories, relative_error, rel_error));
     if is_short && !(relative_error <= rel_error) {

@@ -1,10 +1,12 @@
 //! What the calibrations from shots share: how shots are named, tables of them, reports.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::foreign::read_small;
 use crate::json::parse_json;
+use crate::pose::{PoseFileError, Prior};
+use crate::reporter::Reporter;
 use crate::table::{cells_of, unmarked};
 
 /// A session's log, by its ending.
@@ -53,6 +55,22 @@ pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
 /// As it is written and printed.
 pub(super) fn pretty<T: serde::Serialize>(value: &T) -> String {
     format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
+}
+
+/// Of each pose file the prior, and why the pose that it is read from is in doubt, where it is.
+pub(super) fn read_priors(paths: &[PathBuf]) -> Result<(Vec<Prior>, Vec<Option<String>>), PoseFileError> {
+    Ok(paths.iter().map(|path| Prior::read_with_doubt(path)).collect::<Result<Vec<_>, _>>()?.into_iter().unzip())
+}
+
+/// Warns of `shots` whose priors are in doubt; the words are for what is written of the shots.
+pub(super) fn doubted(shots: &[PathBuf], doubts: &[Option<String>], reporter: &Reporter) -> Vec<String> {
+    let words = |(path, doubt): (&PathBuf, &Option<String>)| {
+        let doubt = doubt.as_ref()?;
+        Some(format!("{}: the pose that its prior is read from is in doubt: {doubt}", shot_name(path)))
+    };
+    let found: Vec<String> = shots.iter().zip(doubts).filter_map(words).collect();
+    found.iter().for_each(|words| reporter.warn("prior in doubt", words));
+    found
 }
 
 /// A finite number, or what stands in its place.

@@ -74,6 +74,9 @@ struct TrainMaterialsArgs {
     /// Patches of each pass in a step
     #[arg(long, value_name = "N", default_value_t = MaterialsRecipe::default().batch, conflicts_with = "resume")]
     batch: usize,
+    /// Phantoms, drawn for it alone, on which the trained network is judged
+    #[arg(long, value_name = "N", default_value_t = MaterialsRecipe::default().fresh_phantoms, conflicts_with = "resume")]
+    fresh_phantoms: u64,
 }
 
 /// What every training is told.
@@ -175,7 +178,7 @@ fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainErro
 }
 
 fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, TrainError> {
-    let &TrainMaterialsArgs { ref common, epochs, steps, batch } = args;
+    let &TrainMaterialsArgs { ref common, epochs, steps, batch, fresh_phantoms } = args;
     let options = common.options(reporter, |hold_out| {
         let materials = match common.architecture {
             ArchitectureArg::Default => MaterialsArchitecture::Default,
@@ -183,7 +186,7 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
         };
         let standard = MaterialsRecipe::default();
         let hold_out = hold_out.unwrap_or(standard.hold_out);
-        MaterialsRecipe { materials, seed: common.seed, epochs, steps, batch, hold_out, ..standard }
+        MaterialsRecipe { materials, seed: common.seed, epochs, steps, batch, hold_out, fresh_phantoms, ..standard }
     })?;
     let trained = followed(common.minutes, reporter, |told| train_materials(&options, told))?;
     draw(&trained, "Materials network: loss by epoch", "1 - Dice, cross-entropy", "held out")?;

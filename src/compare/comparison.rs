@@ -60,6 +60,8 @@ pub struct Pictures {
     pub simulated: Image<f32>,
     /// True where scored or fitted.
     pub usable: Image<bool>,
+    /// True behind the collimator: no picture is there, whatever `acquired` holds.
+    pub shut_off: Image<bool>,
     /// Edges of the simulation.
     pub edges: Image<bool>,
     /// `nepers`, `nepers (offset unknown)`, or that they are gray values.

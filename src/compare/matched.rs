@@ -3,13 +3,13 @@
 
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use crate::geometry::{Intensifier, View};
 use crate::image::Image;
-use crate::pose::Pose;
+use crate::pose::{BeadResidual, Pose};
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
-use crate::scene::model::{Matter, Noise, ScatterModel};
+use crate::scene::model::{Matter, Noise, Object, ScatterModel};
 use crate::scene::{Scene, SceneError};
 
 /// Blur that a bead's shadow is widened by, px.
@@ -22,44 +22,48 @@ fn seen_through(scene: &Scene, view: &View) -> Option<Intensifier> {
     scene.detector.panel.intensifier.as_ref().and_then(|intensifier| intensifier.for_size(view.size_px).ok())
 }
 
-/// The scene as an image by `pose` shows it: from `view`, the pose's own or one of larger pixels, on a panel at the pose's distance, every body
-/// where the pose has it, through the part of the intensifier that the pose's frame shows.
+/// The scene as an image by `pose` shows it: from `view`, the pose's own, one of larger pixels, or telemetry's where the pose is refused; on a
+/// panel at the pose's distance, every body where the pose has it, through the part of the intensifier that the pose's frame shows.
 ///
 /// # Errors
 /// When a body has moved that the scene does not know, or the intensifier was measured in another picture than the panel's.
 pub fn posed_scene(scene: &Scene, pose: &Pose, view: View) -> Result<Scene, SceneError> {
     let mut scene = scene.with_bodies(&pose.places())?.with_view(view);
-    let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
-    scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| k.source_to_detector_mm(pitch_mm) / view.intrinsics.fx);
+    // Pixels that the console binned or enlarged are not the panel's.
+    let console = pose.console.as_ref().zip(pose.size_px);
+    let step = console.map_or(1.0, |(console, size_px)| console.window(console.stored_size(size_px)).step);
+    let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm * step);
+    // Larger pixels lie on the same panel.
+    scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| pitch_mm * (k.fx / view.intrinsics.fx));
     let through = scene.detector.panel.intensifier.take().map(|whole| pose.frame_seen_through(&whole)).transpose();
     scene.detector.panel.intensifier = through
         .map_err(|source| SceneError::Intensifier { place: "detector.intensifier".to_owned(), source: Box::new(source) })?;
     Ok(scene)
 }
 
-/// Centre and radius of each bead's shadow in the frame of `view`, px, where the intensifier of `scene` shows it; beads behind the source
-/// or outside the intensifier's disc have none.
+/// Centre and radius of the shadow of each bead that `pose` lists, in the frame of `view`, px, where the intensifier of `scene` shows it;
+/// beads behind the source or outside the intensifier's disc have none. A bead is as large as `stated_mm` says of its name, else as the
+/// shadow that was matched to it.
 #[must_use]
-pub fn bead_marks(
-    beads: impl IntoIterator<Item = (DVec3, Option<f64>)>,
-    view: &View,
-    scene: Option<&Scene>,
-) -> Vec<(DVec2, f64)> {
+pub fn bead_marks(pose: &Pose, view: &View, scene: Option<&Scene>, stated_mm: impl Fn(&str) -> Option<f64>) -> Vec<(DVec2, f64)> {
     let projection = view.projection();
+    let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
     let through = scene.and_then(|scene| seen_through(scene, view));
     let shown = |pixel: DVec2| through.as_ref().map_or(Some(pixel), |through| through.distortion.distorted(pixel).ok());
-    let mark = |(lps_mm, radius_mm): (DVec3, Option<f64>)| {
-        let (pixel, depth_mm) = projection.project(lps_mm);
-        let radius_px = radius_mm.unwrap_or(BEAD_RADIUS_MM) * view.intrinsics.fx / depth_mm;
+    let mark = |bead: &BeadResidual| {
+        let (pixel, depth_mm) = projection.project(pose.place_of(&bead.body, bead.lps_mm));
+        let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name));
+        let seen_mm = shadow.map(|shadow| shadow.radius_px * depth_mm / full_fx);
+        let radius_px = stated_mm(&bead.name).or(seen_mm).unwrap_or(BEAD_RADIUS_MM) * view.intrinsics.fx / depth_mm;
         (depth_mm > 0.0).then(|| Some((shown(pixel)?, radius_px + BEAD_BLUR_PX))).flatten()
     };
-    beads.into_iter().filter_map(mark).collect()
+    pose.beads.iter().filter_map(mark).collect()
 }
 
-/// Pixels that the robot's pieces may cover: the discs of their bounding spheres. `None` without a robot.
+/// Pixels of the scene's view that the robot's pieces may cover: the discs of their bounding spheres. `None` without a robot, or a view.
 #[must_use]
-pub fn tool_mask(scene: &Scene, view: &View) -> Option<Image<bool>> {
-    let robot = scene.robot.as_ref()?;
+pub fn tool_mask(scene: &Scene) -> Option<Image<bool>> {
+    let (robot, view) = scene.robot.as_ref().zip(scene.view.as_ref())?;
     let Matter::Solids(solids) = &scene.objects[robot.object].matter else { return None };
     let [width, height] = view.size_px.map(|n| n as usize);
     let mut mask = Image::filled(width, height, false);
@@ -137,13 +141,15 @@ pub struct NullRenders<'a> {
     scene: &'a Scene,
     scatter: NullScatter<'a>,
     plan: Option<Plan>,
+    /// The scene's, as the stated pose sees them, for all.
+    objects: Option<Vec<Object>>,
 }
 
 impl<'a> NullRenders<'a> {
     /// `scene` has the view of the DRR, on its panel; `plan` is what rendered it: nothing is planned anew by what this machine is fast
     /// at, so that two replays agree. Without one, one is made for all.
     pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>, scatter: NullScatter<'a>) -> Self {
-        Self { renderer, scene, scatter, plan: plan.map(|plan| plan.whole()) }
+        Self { renderer, scene, scatter, plan: plan.map(|plan| plan.whole()), objects: None }
     }
 
     /// The line integral from `view`, on the same panel; NaN where it is not known. There is no noise in it: it would only blur the null.
@@ -154,6 +160,7 @@ impl<'a> NullRenders<'a> {
         let mut coarse = self.scene.with_binned_view(*view);
         coarse.model.noise = Noise::Off;
         let scatter = self.scatter.of(&coarse, view, self.scene.view.as_ref());
+        coarse.objects.clone_from(self.objects.get_or_insert_with(|| self.renderer.thinned(self.scene, view)));
         if scatter.is_none() {
             coarse.model.scatter = ScatterModel::Off;
         }
@@ -174,12 +181,84 @@ impl<'a> NullRenders<'a> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DQuat;
+    use glam::{DQuat, DVec3};
 
     use super::*;
-    use crate::geometry::{Intrinsics, Rigid};
+    use crate::beads::{Bead, BeadLayout, DEFAULT_BODY};
+    use crate::geometry::{ConsoleGeometry, Intrinsics, Rigid};
+    use crate::pose::{Refusal, Registration, Shadow};
     use crate::render::Origin;
     use crate::scene::physics::Spectrum;
+
+    /// 5000 px of 0.2 mm are 1 m from the source.
+    fn full_view() -> View {
+        let camera_from_lps = Rigid::translation(DVec3::Z * 600.0);
+        View {
+            size_px: [100, 80],
+            intrinsics: Intrinsics { fx: 5000.0, fy: 5000.0, skew: 0.0, cx: 49.5, cy: 39.5 },
+            camera_from_lps,
+        }
+    }
+
+    /// A session scaled the scene's pitch by the console's binning, a command by K, and each knew less than the other.
+    #[test]
+    fn the_panel_stays_where_it_is_whatever_a_pixel_is() {
+        let mut scene = Scene::plain(Spectrum::mono(60.0).expect("inside"));
+        scene.detector.pitch_mm = 0.2;
+        let full = full_view();
+        let binned = View { size_px: [50, 40], intrinsics: full.intrinsics.binned(2.0), ..full };
+        let of = |view: &View| Pose { intrinsics: Some(view.intrinsics), size_px: Some(view.size_px), ..Pose::default() };
+        let console = ConsoleGeometry { binning: 2, ..ConsoleGeometry::default() };
+        let cases = [
+            ("whole", of(&full), full),
+            ("refused", Pose { intrinsics: None, ..of(&full) }, full),
+            ("a coarser image of it", of(&full), binned),
+            ("binned by the console", Pose { console: Some(console), ..of(&binned) }, binned),
+            ("binned, and the pose says so", Pose { pitch_mm: Some(0.4), ..of(&binned) }, binned),
+        ];
+        let distance_mm = |pose: &Pose, view: View| {
+            let posed = posed_scene(&scene, pose, view).expect("nothing has moved");
+            view.intrinsics.source_to_detector_mm(posed.detector.pitch_mm)
+        };
+        for (name, pose, view) in &cases {
+            assert!((distance_mm(pose, *view) - 1000.0).abs() < 1e-9, "{name}: {}", distance_mm(pose, *view));
+        }
+        assert!((distance_mm(&of(&binned), binned) - 500.0).abs() < 1e-9, "the control: nobody says that its pixels are large");
+    }
+
+    /// A session took the stated radius or 1 mm, a command the shadow's or 1 mm.
+    #[test]
+    fn a_bead_is_as_large_as_it_is_stated_to_be_else_as_it_is_seen() {
+        let (lps_mm, full) = (DVec3::ZERO, full_view());
+        let bead = |name: &str| Bead {
+            name: name.to_owned(),
+            body: DEFAULT_BODY.to_owned(),
+            lps_mm,
+            radius_mm: None,
+            sigma_mm: None,
+            covariance_mm2: None,
+        };
+        let layout = BeadLayout { beads: ["stated", "seen", "neither"].map(bead).to_vec(), ..BeadLayout::none() };
+        let rows = Registration::new(full.size_px, &layout).refuse(&Refusal::Fault { detail: "not looked for".to_owned() });
+        let shadow = |name: &str| Shadow {
+            image_px: [49.5, 39.5],
+            sigma_px: 0.1,
+            covariance_px2: None,
+            radius_px: 12.0,
+            snr: 30.0,
+            bead: Some(name.to_owned()),
+        };
+        let shadows = ["stated", "seen"].map(shadow).to_vec();
+        let pose = Pose { shadows, intrinsics: Some(full.intrinsics), ..rows };
+        // In an image of half as many pixels a side.
+        let view = View { size_px: [50, 40], intrinsics: full.intrinsics.binned(2.0), ..full };
+        let marks = bead_marks(&pose, &view, None, |name| (name == "stated").then_some(0.9));
+        let radii_px: Vec<f64> = marks.iter().map(|(_, radius_px)| radius_px - BEAD_BLUR_PX).collect();
+        for (found, expected) in radii_px.iter().zip([0.9 * 2500.0 / 600.0, 6.0, 2500.0 / 600.0]) {
+            assert!((found - expected).abs() < 1e-9, "{radii_px:?}");
+        }
+        assert_eq!(marks.len(), 3);
+    }
 
     /// Near poses have the DRR's scatter, at whatever size; others what somebody says of them, or none.
     #[test]

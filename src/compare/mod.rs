@@ -198,7 +198,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         mm_per_px,
         flags,
     };
-    let pictures = Pictures { acquired: common.acquired, simulated: toned, usable, edges, unit };
+    let shut_off = masks.shut_off(width, height);
+    let pictures = Pictures { acquired: common.acquired, simulated: toned, usable, shut_off, edges, unit };
     Ok(Compared { comparison, pictures: Arc::new(pictures), view: input.view.copied(), centre_lps_mm: input.centre_lps_mm })
 }
 

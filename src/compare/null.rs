@@ -97,6 +97,13 @@ const UNSEEN_STEP: f64 = 5e-4;
 /// … and of two pictures of different layouts that differ by less than this, errors of the simulation pick one.
 const UNSEEN_LAYOUT: f64 = 1e-2;
 
+/// Goes up whenever the same plan gives other scores.
+const METHOD: u32 = 2;
+
+fn first_method() -> u32 {
+    1
+}
+
 /// How the null was made.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct NullPlan {
@@ -108,6 +115,9 @@ pub struct NullPlan {
     pub centre_lps_mm: [f64; 3],
     /// Renders made.
     pub renders: usize,
+    /// 2: volumes have no more slices along the rays than its pixels need.
+    #[serde(default = "first_method")]
+    pub method: u32,
     /// The tone, fitted anew at each pose.
     pub tone: Tone,
     /// Poses of other layouts that are the stated one here: they were not asked about.
@@ -207,6 +217,7 @@ pub(super) fn null(
         binning,
         centre_lps_mm: input.centre_lps_mm.to_array(),
         renders: 1 + shifted.len(),
+        method: METHOD,
         tone: input.tone.tone,
         same_pose,
         same_picture,

@@ -1,5 +1,6 @@
 //! What is known of a block besides the beads: priors and joint readings.
 
+use glam::{DMat3, DVec3};
 use nalgebra::{DMatrix, Matrix6};
 
 use super::block::{BlockId, PoseBlock, State, VectorBlock};
@@ -74,6 +75,13 @@ impl Reading {
     #[must_use]
     pub fn of_all(block: VectorBlock, values: &[f64], information: DMatrix<f64>) -> Self {
         Self::of_some(block, (0..block.len).collect(), values, information)
+    }
+
+    /// A point with its covariance in mm², which is positive definite.
+    #[must_use]
+    pub fn of_place(block: VectorBlock, at_mm: DVec3, covariance_mm2: &DMat3) -> Self {
+        let information = covariance_mm2.inverse();
+        Self::of_all(block, &at_mm.to_array(), DMatrix::from_fn(3, 3, |i, j| information.col(j)[i]))
     }
 
     /// The numbers `chosen` of `block`, in that order.

@@ -8,7 +8,8 @@
 //! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read. Where
 //! several files are one thing (the slices of a CT), their contents come one after the other on it.
 //!
-//! Small texts (scenes, poses, beads) need no helper: [`read_small`] takes regular files of a bounded size only.
+//! Small texts (scenes, poses, beads) need no helper: [`read_small`] takes regular files of a bounded size only. What opens a file, here and
+//! everywhere, is [`crate::regular`].
 
 mod blank;
 mod feed;
@@ -19,7 +20,6 @@ mod open;
 mod process;
 mod request;
 mod reserve;
-mod small;
 mod wire;
 
 use std::path::{Path, PathBuf};
@@ -30,11 +30,12 @@ pub use feed::{Fed, Input, next_request};
 pub use helper::{ForeignFault, Helpers};
 pub use kind::Kind;
 pub use limits::{Limits, impose, impose_on_next};
-pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
+pub use open::{has_hole, standard_input};
 pub use request::Request;
 use reserve::Reserve;
-pub use small::{read_small, read_small_text};
 pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
+
+pub use crate::regular::{FileStamp, NotRegular, OpenFault, OpenFile, open_regular, read_small, read_small_text};
 
 /// Opens foreign files: through a helper process, or (trusted files only) in this one.
 #[derive(Clone, Debug)]

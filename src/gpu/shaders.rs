@@ -1,11 +1,12 @@
 //! The shaders, embedded; `// #include shared/x.wgsl` is replaced by that file.
 
-const FILES: [(&str, &str); 18] = [
+const FILES: [(&str, &str); 19] = [
     ("integrate_density", include_str!("../../shaders/integrate_density.wgsl")),
     ("attenuate_spectrum", include_str!("../../shaders/attenuate_spectrum.wgsl")),
     ("add_noise", include_str!("../../shaders/add_noise.wgsl")),
     ("follow_photons", include_str!("../../shaders/follow_photons.wgsl")),
     ("shared/view.wgsl", include_str!("../../shaders/shared/view.wgsl")),
+    ("shared/chords.wgsl", include_str!("../../shaders/shared/chords.wgsl")),
     ("shared/solid.wgsl", include_str!("../../shaders/shared/solid.wgsl")),
     ("shared/intervals.wgsl", include_str!("../../shaders/shared/intervals.wgsl")),
     ("shared/mesh.wgsl", include_str!("../../shaders/shared/mesh.wgsl")),

@@ -1,8 +1,8 @@
 //! What every DICOM object that is written here says alike.
 
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
-use dicom_dictionary_std::tags;
-use dicom_object::InMemDicomObject;
+use dicom_dictionary_std::{tags, uids};
+use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 
 use super::sha256_bytes;
 
@@ -39,4 +39,19 @@ pub fn grey_16(size: [usize; 2], values: Vec<u16>) -> [Element; 9] {
         number(tags::PIXEL_REPRESENTATION, 0),
         DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())),
     ]
+}
+
+/// The bytes of a file with these elements, uncompressed; `class` and `instance` are its identifiers.
+///
+/// # Errors
+/// In words, when they cannot be encoded.
+pub fn file_bytes(elements: impl IntoIterator<Item = Element>, class: &str, instance: &str) -> Result<Vec<u8>, String> {
+    let meta = FileMetaTableBuilder::new()
+        .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
+        .media_storage_sop_class_uid(class)
+        .media_storage_sop_instance_uid(instance);
+    let object = InMemDicomObject::from_element_iter(elements).with_meta(meta).map_err(|error| error.to_string())?;
+    let mut bytes = Vec::new();
+    object.write_all(&mut bytes).map_err(|error| error.to_string())?;
+    Ok(bytes)
 }

@@ -1,12 +1,12 @@
 //! Image files: 32-bit float TIFF with pages, PNG for eyes, hashes; every write is all or nothing.
 
-use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
 use super::Image;
+use crate::regular;
 
 /// Why an image file could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -105,12 +105,34 @@ pub enum ImageFileError {
     },
 }
 
-/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one.
+/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one, after a loss of power too.
 ///
 /// # Errors
 /// When the folder is missing or not writable, or the disk is full; nothing is left behind then.
 pub fn write_atomically(
     path: &Path,
+    write: impl FnOnce(&mut dyn WriteSeek) -> std::io::Result<()>,
+) -> Result<(), ImageFileError> {
+    write_lasting(path, Lasting::AtOnce, write)
+}
+
+/// Whether the disk is waited for, which may take seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lasting {
+    /// The file's new name comes after its bytes.
+    AtOnce,
+    /// After a loss of power the file may be empty: for pictures for eyes, and for what a session writes again and again and a replay of its log
+    /// makes again.
+    Later,
+}
+
+/// As [`write_atomically`], with or without waiting for the disk.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_lasting(
+    path: &Path,
+    lasting: Lasting,
     write: impl FnOnce(&mut dyn WriteSeek) -> std::io::Result<()>,
 ) -> Result<(), ImageFileError> {
     let io = |source| ImageFileError::Write { path: path.to_owned(), source };
@@ -125,8 +147,20 @@ pub fn write_atomically(
         use std::os::unix::fs::PermissionsExt;
         temporary.as_file().set_permissions(std::fs::Permissions::from_mode(0o644)).map_err(io)?;
     }
+    if lasting == Lasting::AtOnce {
+        temporary.as_file().sync_all().map_err(io)?;
+    }
     temporary.persist(path).map_err(|error| io(error.error))?;
     Ok(())
+}
+
+/// `IMAGE.tif` → `IMAGE.tif.suffix`.
+#[must_use]
+pub fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(suffix);
+    PathBuf::from(name)
 }
 
 /// Refuses now what [`write_atomically`] would refuse later.
@@ -251,13 +285,21 @@ impl<T: Write + std::io::Seek> WriteSeek for T {}
 /// # Errors
 /// When there is no page, a page is empty, or the file cannot be written.
 pub fn write_tiff_f32(path: &Path, pages: &[Image<f32>]) -> Result<(), ImageFileError> {
+    write_tiff_f32_lasting(path, Lasting::AtOnce, pages)
+}
+
+/// The same, with or without waiting for the disk.
+///
+/// # Errors
+/// As [`write_tiff_f32`].
+pub fn write_tiff_f32_lasting(path: &Path, lasting: Lasting, pages: &[Image<f32>]) -> Result<(), ImageFileError> {
     if let Some(page) = pages.iter().find(|page| page.pixels.is_empty()) {
         return Err(ImageFileError::Empty { path: path.to_owned(), width: page.width, height: page.height });
     }
     if pages.is_empty() {
         return Err(ImageFileError::Empty { path: path.to_owned(), width: 0, height: 0 });
     }
-    write_atomically(path, |file| {
+    write_lasting(path, lasting, |file| {
         let mut encoder = tiff::encoder::TiffEncoder::new(file).map_err(std::io::Error::other)?;
         for page in pages {
             encoder
@@ -273,7 +315,7 @@ pub fn write_tiff_f32(path: &Path, pages: &[Image<f32>]) -> Result<(), ImageFile
 /// # Errors
 /// When the file cannot be read, is damaged, holds other samples, or shows them turned.
 pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
-    let file = File::open(path).map_err(|source| ImageFileError::Io { path: path.to_owned(), source })?;
+    let file = regular::open(path).map_err(|source| ImageFileError::Io { path: path.to_owned(), source })?;
     let damaged = |error: tiff::TiffError| ImageFileError::Tiff { path: path.to_owned(), detail: error.to_string() };
     let mut decoder = tiff::decoder::Decoder::new(std::io::BufReader::new(file)).map_err(damaged)?;
     let mut pages = Vec::new();
@@ -307,7 +349,7 @@ pub fn write_png_rgb(path: &Path, image: &Image<[u8; 3]>) -> Result<(), ImageFil
         return Err(ImageFileError::Empty { path: path.to_owned(), width: image.width, height: image.height });
     }
     let bytes: Vec<u8> = image.pixels.iter().flatten().copied().collect();
-    write_atomically(path, |file| {
+    write_lasting(path, Lasting::Later, |file| {
         let encoder = image::codecs::png::PngEncoder::new(file);
         image::ImageEncoder::write_image(encoder, &bytes, image.width as u32, image.height as u32, image::ExtendedColorType::Rgb8)
             .map_err(std::io::Error::other)
@@ -320,8 +362,8 @@ pub fn write_png_rgb(path: &Path, image: &Image<[u8; 3]>) -> Result<(), ImageFil
 /// When the file cannot be read.
 pub fn read_png_rgb(path: &Path) -> Result<Image<[u8; 3]>, ImageFileError> {
     let io = |source| ImageFileError::Io { path: path.to_owned(), source };
-    let read =
-        image::ImageReader::open(path).map_err(io)?.decode().map_err(|error| io(std::io::Error::other(error)))?.into_rgb8();
+    let bytes = regular::read(path).map_err(io)?;
+    let read = image::load_from_memory(&bytes).map_err(|error| io(std::io::Error::other(error)))?.into_rgb8();
     let (width, height) = (read.width() as usize, read.height() as usize);
     let pixels = read.pixels().map(|pixel| pixel.0).collect();
     Image::from_pixels(width, height, pixels).ok_or_else(|| io(std::io::Error::other("its size is not that of its pixels")))
@@ -339,7 +381,7 @@ pub fn sha256_bytes(bytes: &[u8]) -> String {
 /// When the file cannot be read.
 pub fn sha256_file(path: &Path) -> Result<String, ImageFileError> {
     let io = |source| ImageFileError::Io { path: path.to_owned(), source };
-    let mut file = File::open(path).map_err(io)?;
+    let mut file = regular::open(path).map_err(io)?;
     let mut hasher = Sha256::new();
     let mut chunk = vec![0u8; 1 << 16];
     loop {

@@ -6,18 +6,17 @@ mod new_file;
 pub mod plot;
 mod ticks;
 mod vectors;
-#[cfg(feature = "vision")]
 mod video;
 
 pub use files::{
-    ImageFileError, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32, refuse_overwrite, refuse_same_content,
-    refuse_twice, sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
+    ImageFileError, Lasting, beside, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32, refuse_overwrite,
+    refuse_same_content, refuse_twice, sha256_bytes, sha256_file, write_atomically, write_lasting, write_png_rgb, write_tiff_f32,
+    write_tiff_f32_lasting,
 };
 
 pub use new_file::NewFile;
 pub use ticks::{round_down, round_values};
 pub use vectors::{exp, on_widest_vectors};
-#[cfg(feature = "vision")]
 pub use video::VideoFile;
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.

@@ -8,6 +8,7 @@ use super::{InferError, bytes_from_tensors, floats_of, tensors_from_bytes};
 use super::{Layer, TensorFault};
 use crate::image::sha256_bytes;
 use crate::json::parse_json;
+use crate::regular;
 
 /// What lies beside the weights of a network and says what they are.
 pub trait NetworkCard: DeserializeOwned {
@@ -54,7 +55,7 @@ impl NetworkFiles {
     /// # Errors
     /// When a file is missing, truncated, of another network or no network at all.
     pub fn read<C: NetworkCard>(&self) -> Result<(C, Vec<f32>), InferError> {
-        let read = |path: &Path| std::fs::read(path).map_err(|source| InferError::Read { path: path.to_owned(), source });
+        let read = |path: &Path| regular::read(path).map_err(|source| InferError::Read { path: path.to_owned(), source });
         self.parse(&read(&self.weights)?, &read(&self.card)?)
     }
 

@@ -12,6 +12,7 @@ use super::adam::Adam;
 use super::{EpochRecord, LearnError, TrainFiles, TrainOptions};
 use crate::image::write_atomically;
 use crate::infer::{TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
+use crate::regular;
 
 /// The key of the metadata that holds [`Beside`].
 const KEY: &str = "state";
@@ -91,7 +92,7 @@ impl State {
         samples_sha256: &str,
         parameters: usize,
     ) -> Result<Self, LearnError> {
-        let bytes = std::fs::read(path).map_err(|source| LearnError::Io { path: path.to_owned(), source })?;
+        let bytes = regular::read(path).map_err(|source| LearnError::Io { path: path.to_owned(), source })?;
         let fault = |fault| LearnError::Checkpoint { path: path.to_owned(), fault };
         let beside = beside_of::<R>(&bytes).map_err(fault)?;
         let sha = ("sha256 of the samples".to_owned(), samples_sha256.to_owned(), beside.samples_sha256.clone());
@@ -144,7 +145,7 @@ fn beside_of<R: AnyRecipe>(bytes: &[u8]) -> Result<Beside<R>, TensorFault> {
 /// When the checkpoint is unreadable.
 pub fn recipe_of_checkpoint<R: AnyRecipe>(output: &Path) -> Result<Option<(R, Vec<PathBuf>)>, LearnError> {
     let path = TrainFiles::of(output).checkpoint;
-    match std::fs::read(&path) {
+    match regular::read(&path) {
         Ok(bytes) => {
             let beside = beside_of(&bytes).map_err(|fault| LearnError::Checkpoint { path, fault })?;
             Ok(Some((beside.recipe, beside.siblings)))

@@ -7,6 +7,7 @@ use serde::de::DeserializeOwned;
 
 use crate::image::{ImageFileError, write_atomically};
 use crate::infer::{PAGES, TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
+use crate::regular;
 
 /// Pages of the standard errors: those of the truth, and their sum.
 pub(super) const ERRORS: usize = PAGES + 1;
@@ -106,7 +107,7 @@ impl Shard {
     /// # Errors
     /// When it is not there, damaged, or something else, or holds NaN or an infinity.
     pub fn read(path: &Path) -> Result<Self, ShardError> {
-        let bytes = std::fs::read(path).map_err(|source| ShardError::Io { path: path.to_owned(), source })?;
+        let bytes = regular::read(path).map_err(|source| ShardError::Io { path: path.to_owned(), source })?;
         Self::parse(&bytes).map_err(|fault| ShardError::Content { path: path.to_owned(), fault })
     }
 

@@ -12,6 +12,7 @@ use crate::geometry::VoxelGrid;
 use crate::image::{ImageFileError, write_atomically};
 use crate::infer::materials::HuVolume;
 use crate::infer::{TensorFault, metadata_of, tensors_from_bytes};
+use crate::regular;
 use crate::scene::LabelledCt;
 
 /// The structure of what is neither tissue nor bone: nothing is learnt and nothing judged there.
@@ -171,7 +172,7 @@ impl LabelledSpecimen {
     /// # Errors
     /// When it is not there, damaged or something else.
     pub fn read(path: &Path) -> Result<Self, SpecimenError> {
-        let bytes = std::fs::read(path).map_err(|source| SpecimenError::Io { path: path.to_owned(), source })?;
+        let bytes = regular::read(path).map_err(|source| SpecimenError::Io { path: path.to_owned(), source })?;
         Self::of_bytes(&bytes, path)
     }
 

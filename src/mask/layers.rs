@@ -107,6 +107,13 @@ impl Masks {
         self.layers.iter().find(|(found, _)| *found == cause).map(|(_, mask)| mask)
     }
 
+    /// True where a frame of this size shows nothing of what stood before the panel, because the collimator shuts it off.
+    #[must_use]
+    pub fn shut_off(&self, width: usize, height: usize) -> Image<bool> {
+        let layer = self.layer(Cause::Collimation).filter(|layer| (layer.width, layer.height) == (width, height));
+        layer.cloned().unwrap_or_else(|| Image::filled(width, height, false))
+    }
+
     /// Share of each cause and of their union.
     #[must_use]
     pub fn shares(&self, width: usize, height: usize) -> MaskShares {

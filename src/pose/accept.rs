@@ -4,7 +4,7 @@ use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
-use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
+use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status, square};
 use super::residual::BeadResidual;
 use super::settle::Settled;
 use super::solve::{Free, Solution, about, left_out};
@@ -87,7 +87,7 @@ impl Case<'_> {
             None => predicted.filter(|at| !self.request.is_outside(*at)).and_then(|at| self.nearest_free(last, at)),
             Some(_) => None,
         };
-        let beside = beside.map(|n| (self.detections[n].image_px - at, self.detections[n].sigma_px));
+        let beside = beside.map(|n| (self.detections[n].image_px - at, self.detections[n].noise_px2()));
         let reason = match (used, rejected) {
             (Some(_), _) => None,
             (None, Some((_, off))) => Some(format!("its shadow is {:.2} px from where the other beads put it", off.length())),
@@ -104,20 +104,22 @@ impl Case<'_> {
                 None => "no shadow found where it should be".to_owned(),
             }),
         };
-        let off = rejected.map(|(m, off)| (*off, m.sigma_px)).or(beside);
+        let off = rejected.map(|(m, off)| (*off, m.noise_px2)).or(beside);
         BeadResidual {
             name: bead.name.clone(),
             body: bead.body.clone(),
             lps_mm: bead.lps_mm,
+            covariance_mm2: bead.stated_mm2(),
             image_px: observed.map(|m| m.image_px.to_array()),
             predicted_px: predicted.map(|p| p.to_array()),
             residual_px: observed.zip(predicted).map(|(m, p)| (m.image_px - p).to_array()),
             sigma_px: observed.map(|m| m.sigma_px),
+            covariance_px2: observed.map(|m| square(m.noise_px2)),
             left_out_px: left_out.map(|found| [found.offset[0], found.offset[1]]),
             beside_px: beside.map(|(off, _)| off.to_array()),
             off_sigmas: left_out.map(|found| found.chi2.sqrt()).or_else(|| {
-                let (off, sigma_px) = off?;
-                last.off_sigmas(covariance, bead.lps_mm, bead.sigma_or_default_mm(), sigma_px, off)
+                let (off, noise_px2) = off?;
+                last.off_sigmas(covariance, (bead.lps_mm, bead.place_mm2()), noise_px2, off)
             }),
             used: used.is_some(),
             reason,
@@ -135,9 +137,10 @@ impl Case<'_> {
             predicted_px: predicted.map(|at| at.to_array()),
             residual_px: off.map(|off| off.to_array()),
             sigma_px: nearest.map(|shadow| shadow.sigma_px),
-            off_sigmas: nearest.zip(off).and_then(|(shadow, off)| {
-                last.off_sigmas(covariance, bead.lps_mm, bead.sigma_or_default_mm(), shadow.sigma_px, off)
-            }),
+            covariance_px2: nearest.map(|shadow| square(shadow.noise_px2())),
+            off_sigmas: nearest
+                .zip(off)
+                .and_then(|(shadow, off)| last.off_sigmas(covariance, (bead.lps_mm, bead.place_mm2()), shadow.noise_px2(), off)),
             check: true,
             ..self.request.row(
                 bead,

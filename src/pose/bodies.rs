@@ -112,6 +112,8 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
             prior: Some(&prior),
             fuse: false,
             ignore_prior: false,
+            // They are places of the reference body.
+            landmarks: &[],
             ..*request
         };
         let layout = layout_of(request.layout, name);

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2};
 
+use super::explained::{FoundReading, Reading, Rejected, RejectedReading};
 use super::gate::{Gate, information_about};
 use super::hand_marks::nearest_shadow;
 use super::prior::Prior;
@@ -41,6 +42,8 @@ pub(super) struct Case<'a> {
     pub without_prior: bool,
     /// What all shadows give wherever the camera is, for the K that it was last asked of.
     pub everywhere: RefCell<Option<(Intrinsics, Arc<Found>)>>,
+    /// Other readings that were looked at, and why they do not stand.
+    pub heard: RefCell<Vec<RejectedReading>>,
 }
 
 impl<'a> Case<'a> {
@@ -63,13 +66,25 @@ impl<'a> Case<'a> {
         }
         let (of_hand, barred) = request.by_hand.pairs(request.layout, detections, |at| request.straight(at));
         pinned.extend(of_hand);
-        Ok(Self { request, detections, pinned, barred, probe, without_prior: false, everywhere: RefCell::default() })
+        let (everywhere, heard) = (RefCell::default(), RefCell::default());
+        Ok(Self { request, detections, pinned, barred, probe, without_prior: false, everywhere, heard })
     }
 
     /// The answer that there is no pose, with what the frame shows.
     pub fn refuse(&self, refusal: &Refusal, notes: Vec<String>) -> Pose {
         let shadows = self.detections.iter().map(|detection| Shadow::of(detection, None)).collect();
-        Pose { notes, detections: self.detections.len(), shadows, ..self.request.refuse(refusal) }
+        let explained = Some(self.explained(None));
+        Pose { notes, detections: self.detections.len(), shadows, explained, ..self.request.refuse(refusal) }
+    }
+
+    /// Keeps that a reading does not stand; `found` is its pose, how many beads it explains, and how well (px), `own` the pose that is judged.
+    pub fn hear(&self, reading: Reading, found: Option<(&Rigid, usize, f64)>, own: &Rigid, why: Rejected) {
+        let found = found.and_then(|(pose, matched, rms_px)| {
+            let (angle_deg, shift_mm) = self.distance(pose, own);
+            let all = [rms_px, angle_deg, shift_mm];
+            all.iter().all(|x| x.is_finite()).then_some(FoundReading { matched, rms_px, angle_deg, shift_mm })
+        });
+        self.heard.borrow_mut().push(RejectedReading { reading, found, why: why.finite() });
     }
 
     /// Whether a bead could be seen at a place of the undistorted picture.
@@ -81,7 +96,8 @@ impl<'a> Case<'a> {
         let layout = self.request.layout;
         let target = |(n, bead): (usize, &crate::beads::Bead)| Target {
             lps_mm: bead.lps_mm,
-            sigma_mm: bead.sigma_or_default_mm(),
+            sigma_mm: bead.most_sigma_mm(),
+            place_mm2: bead.place_mm2(),
             radius_mm: layout.radius_mm(n, self.request.bead_radius_mm),
         };
         layout.beads.iter().enumerate().map(target).collect()
@@ -140,6 +156,8 @@ impl<'a> Case<'a> {
             gate,
             slack_px: 0.0,
             budget: super::search::BUDGET,
+            groups: Vec::new(),
+            fewest: super::search::FEWEST,
             shows: Box::new(move |at_px| probe.is_none_or(|probe| probe.is_usable(request.in_frame(at_px)))),
         }
     }
@@ -161,7 +179,9 @@ impl<'a> Case<'a> {
     /// Accidents expected behind a match of `detections` after `tried` tries, where so many `parameters` were solved.
     fn chance_with(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection], parameters: usize) -> f64 {
         let area = area_px2(self.request.size_px, detections);
-        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area, parameters)
+        // A random shadow agrees where it lies in an ellipse of S: a circle as large has this radius.
+        let agree_px = hypothesis.rms_px * hypothesis.roundness.sqrt();
+        chance(tried, hypothesis.matches.len(), hypothesis.in_view, agree_px, detections.len(), area, parameters)
     }
 
     /// Accidents expected behind a match of `detections` after `tried` tries, K held.
@@ -238,6 +258,8 @@ fn in_gate(targets: &[Target], gate: Option<&Gate>) -> Vec<Depths> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DMat3;
+
     use super::*;
     use crate::random::{Purpose, Stream};
 
@@ -254,7 +276,9 @@ mod tests {
             let gate =
                 Gate { camera_from_lps, information: information_about(centre, turn_rad, shift_mm), limit: between(20.0, 60.0) };
             let mut place = || DVec3::new(between(-70.0, 70.0), between(-70.0, 70.0), between(-70.0, 70.0));
-            let targets: Vec<Target> = (0..6).map(|_| Target { lps_mm: place(), sigma_mm: 0.1, radius_mm: None }).collect();
+            let place_mm2 = DMat3::from_diagonal(DVec3::splat(0.01));
+            let target = |lps_mm| Target { lps_mm, sigma_mm: 0.1, place_mm2, radius_mm: None };
+            let targets: Vec<Target> = (0..6).map(|_| target(place())).collect();
             let depths = in_gate(&targets, Some(&gate));
             bounded += usize::from(depths[0].far.is_finite());
             let covariance = gate.information.try_inverse().expect("positive");
@@ -272,7 +296,7 @@ mod tests {
         }
         assert!(bounded > 100, "{bounded} gates bound anything");
         let nothing = Gate { camera_from_lps: Rigid::IDENTITY, information: Matrix6::zeros(), limit: 30.0 };
-        let target = Target { lps_mm: DVec3::Z, sigma_mm: 0.1, radius_mm: None };
+        let target = Target { lps_mm: DVec3::Z, sigma_mm: 0.1, place_mm2: DMat3::IDENTITY, radius_mm: None };
         assert!(in_gate(&[target], Some(&nothing))[0].contain(1e6));
     }
 }

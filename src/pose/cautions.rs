@@ -1,11 +1,20 @@
-//! What a person should look at before an accepted pose is used, and which of it means that the pose may be another one altogether.
+//! What a person should look at before an accepted pose is used, and which of it means that the pose may be another one altogether,
+//! or is no measure of what was asked for.
+
+/// What is said of a pose that is uncertain at a landmark, or off its beads' plane.
+pub(super) const LOOSELY: &str = "the beads hold the pose loosely";
+
+/// Whether a caution or a doubt is that one: it falls where telemetry or other views hold the pose as well.
+pub(super) fn is_of_looseness(words: &str) -> bool {
+    words.contains(LOOSELY)
+}
 
 /// Gathered while a match is judged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Cautions {
     /// All of them, a sentence each.
     pub(super) words: Vec<String>,
-    /// The first that leaves open whether the pose is this one: another reading, another scale, a mirror image.
+    /// The first that leaves open whether the pose is this one: another reading, another scale, a mirror image; or how it lies at a landmark.
     pub(super) doubt: Option<String>,
     /// How many of them do.
     pub(super) doubts: usize,

@@ -10,6 +10,7 @@ use nalgebra::Matrix6;
 use super::besides::Besides;
 use super::case::{Case, GATE};
 use super::cautions::Cautions;
+use super::explained::{Reading, Rejected};
 use super::prior::Prior;
 use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
@@ -97,17 +98,23 @@ impl Case<'_> {
             // Without the picture nobody knows whether a bead is hidden, nor whether a shadow is like a bead's.
             None => hypothesis.in_view >= matched + ORDINARY && self.detections.len() >= matched + ORDINARY,
         };
-        if (strays || last.chi2_per_dof > UNEASY_CHI2)
-            && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched, Some(last.rms_px()))
-        {
+        let own = &last.solution.camera_from_lps;
+        let uneasy = strays || last.chi2_per_dof > UNEASY_CHI2;
+        let mirrored = if uneasy { self.mirrored(&last.solution.intrinsics, matched, Some(last.rms_px())) } else { None };
+        if let Some(refusal) = mirrored {
             return Err(refusal);
         }
+        let sought = |sought: bool| if sought { Rejected::NotFound } else { Rejected::NotSought };
+        self.hear(Reading::MirrorImage, None, own, sought(uneasy));
         let guided = self.request.prior.is_some() && !self.without_prior && !self.request.ignore_prior;
-        if guided
-            && (strays || last.chi2_per_dof > UNEASY_CHI2)
-            && let Some(refusal) = self.better_elsewhere(last, hypothesis, FAR_BETTER)
-        {
-            return Err(refusal);
+        if guided {
+            // Shadows that are left may be beads of the same layout under other names, whose own places the prior puts out of the frame.
+            let left = uneasy || unexplained.len() >= ORDINARY;
+            let better = if left { self.better_elsewhere(last, hypothesis, FAR_BETTER) } else { None };
+            if let Some(refusal) = better {
+                return Err(refusal);
+            }
+            self.hear(Reading::Elsewhere, None, own, sought(left));
         }
         self.check_moved_twin(last, guided, &mut cautions)?;
         let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
@@ -142,12 +149,16 @@ impl Case<'_> {
 
     /// Where the layout fits the frame as well elsewhere, the prior alone, if the match is `guided` by one, tells which of the two it is.
     fn check_moved_twin(&self, last: &Settled, guided: bool, cautions: &mut Cautions) -> Result<(), Refusal> {
-        let Some(twin) = self.moved_twin(last) else { return Ok(()) };
         let (own, matched) = (&last.solution.camera_from_lps, last.matches.len());
+        let Some(twin) = self.moved_twin(last) else {
+            self.hear(Reading::MovedLayout, None, own, Rejected::NotFound);
+            return Ok(());
+        };
         if !guided || twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
             let other = (&twin.camera_from_lps, matched, twin.rms_px);
             return Err(self.ambiguous(Rival::OtherNames, (own, matched, last.rms_px()), other));
         }
+        self.hear(Reading::MovedLayout, Some((&twin.camera_from_lps, matched, twin.rms_px)), own, Rejected::Doubted);
         let (angle_deg, shift_mm) = self.distance(&twin.camera_from_lps, own);
         cautions.doubt(format!(
             "the beads fit the frame as well {angle_deg:.1}° and {shift_mm:.1} mm away, under other names: that they are not seen from there \
@@ -266,6 +277,7 @@ impl Case<'_> {
                 self.detections.len()
             ));
         }
+        self.hear(Reading::SecondSet, None, &hypothesis.camera_from_lps, Rejected::NotFound);
         let Some(second) = self.second_near(last, unexplained) else { return Ok(()) };
         let explains = second.matches.len();
         let squares = |pose: &Rigid| self.off_prior(pose).map_or(0.0, |(squares, _)| squares);
@@ -273,6 +285,8 @@ impl Case<'_> {
         if nearer_the_prior || 3 * explains >= 2 * unexplained.len() {
             return Err(refusal(&second));
         }
+        let found = (&second.camera_from_lps, explains, second.rms_px);
+        self.hear(Reading::SecondSetClose, Some(found), &hypothesis.camera_from_lps, Rejected::Doubted);
         let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
         cautions.doubt(format!(
             "{explains} of {} clear shadows that belong to no bead fit the layout {angle_deg:.1}° and {shift_mm:.1} mm away",
@@ -347,15 +361,22 @@ impl Case<'_> {
         };
         let free = alone(Free::Square)?;
         let squares = |residuals: &[DVec2]| residuals.iter().map(|r| r.length_squared()).sum::<f64>();
-        // A pose that a fused prior has drawn away would make another K look needed.
-        let given =
-            if self.request.fuse { squares(&alone(Free::Pose)?.residuals_px) } else { squares(&last.solution.residuals_px) };
+        // A pose that a fused prior has drawn away, or that rests on other weights, would make another K look needed.
+        let by_beads = alone(Free::Pose)?;
+        let given = squares(if self.request.fuse { &by_beads.residuals_px } else { &last.solution.residuals_px });
         let freed = squares(&free.residuals_px);
-        let ratio = ((given - freed) / 3.0) / (freed / degrees as f64);
+        // Where shadows are known far better along one direction than along the other, squares compare by their ellipses alone.
+        let (worse, better) = (by_beads.rounded_px2(&last.matches), free.rounded_px2(&last.matches));
+        let ratio = ((worse - better) / 3.0) / (better / degrees as f64);
         let focal_ratio = free.intrinsics.fx / k.fx;
         let shift_px = DVec2::new(free.intrinsics.cx - k.cx, free.intrinsics.cy - k.cy).length();
         let rms = |squares: f64| (squares / last.matches.len() as f64).sqrt();
         let found = OtherK { given_px: rms(given), freed_px: rms(freed), focal_ratio, shift_px };
-        (ratio > needed).then_some(found)
+        if !(ratio > needed) {
+            let own = &last.solution.camera_from_lps;
+            self.hear(Reading::OtherIntrinsics, None, own, Rejected::NotNeeded { times: ratio, needed });
+            return None;
+        }
+        Some(found)
     }
 }

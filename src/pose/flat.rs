@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 use nalgebra::DMatrix;
 
+use super::cautions::LOOSELY;
 use super::solve::{Match, Solution};
 use super::verdict::spread;
 use crate::beads::Landmark;
@@ -26,26 +27,22 @@ impl OffPlane {
 /// A landmark that is more uncertain is no measure of anything.
 const LOOSE_PX: f64 = 2.0;
 
-/// Says that a pose is loose, although it fits: at one of `landmarks`, where there are any, else off the beads' plane. `covariance` is the
-/// solution's, scaled perhaps.
-pub(super) fn looseness(
-    solution: &Solution,
-    off_plane: &OffPlane,
-    landmarks: &[Landmark],
-    covariance: &DMatrix<f64>,
-) -> Option<String> {
+/// The landmark at which a pose is known worst, in words, behind the standard deviation of its projection along the worst direction, px.
+/// `None` where none is in front of the source. `covariance` is the solution's, scaled perhaps.
+pub(super) fn worst_landmark(solution: &Solution, landmarks: &[Landmark], covariance: &DMatrix<f64>) -> Option<(f64, String)> {
     // A landmark behind the source is in no picture; a σ that is not a number, of either sign, is the worst of all.
     let at = |landmark: &Landmark| {
         let sigma_px = worst_direction_px(solution, landmark.lps_mm, covariance)?;
         Some((if sigma_px.is_nan() { f64::INFINITY } else { sigma_px }, format!("at {}", landmark.name)))
     };
-    let of_landmarks = landmarks.iter().filter_map(at);
-    let worst = of_landmarks.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((off_plane.sigma_px, "off their plane".to_owned()));
-    let (sigma_px, place) = worst;
+    landmarks.iter().filter_map(at).max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// Says that a pose is loose, although it fits, where it is as uncertain as that at a place.
+pub(super) fn looseness((sigma_px, place): (f64, String)) -> Option<String> {
     (!(sigma_px <= LOOSE_PX)).then(|| {
         format!(
-            "the beads hold the pose loosely: {place} it is uncertain by {sigma_px:.1} px (1 σ); bring more beads into view, farther apart and \
-             off one plane"
+            "{LOOSELY}: {place} it is uncertain by {sigma_px:.1} px (1 σ); bring more beads into view, farther apart and off one plane"
         )
     })
 }

@@ -6,6 +6,7 @@ use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
 use super::accept::rows_of;
+use super::cautions::is_of_looseness;
 use super::prior::Prior;
 use super::record::{Covariance, Pose, TelemetryInnovation};
 use crate::estimate::{about, deviation};
@@ -42,10 +43,20 @@ impl Prior {
 #[must_use]
 pub fn innovation(pose: &Pose, measured: &Prior) -> Option<TelemetryInnovation> {
     let (_, camera_from_lps) = pose.camera()?;
-    let (by_beads, by_telemetry) = pose.covariance.zip(measured.covariance)?;
-    let to_centroid = about(camera_from_lps.transform_point(pose.centroid_lps_mm?));
-    let off = to_centroid * deviation(&measured.camera_from_lps, &camera_from_lps);
-    let both = to_centroid * (matrix(&by_beads) + matrix(&by_telemetry)) * to_centroid.transpose();
+    innovation_of(&camera_from_lps, &pose.covariance?, pose.centroid_lps_mm?, measured)
+}
+
+/// The same of a camera that beads about `centroid_lps` gave with a covariance.
+pub(super) fn innovation_of(
+    camera_from_lps: &Rigid,
+    by_beads: &Covariance,
+    centroid_lps: DVec3,
+    measured: &Prior,
+) -> Option<TelemetryInnovation> {
+    let by_telemetry = measured.covariance?;
+    let to_centroid = about(camera_from_lps.transform_point(centroid_lps));
+    let off = to_centroid * deviation(&measured.camera_from_lps, camera_from_lps);
+    let both = to_centroid * (matrix(by_beads) + matrix(&by_telemetry)) * to_centroid.transpose();
     let chi2 = off.dot(&both.cholesky()?.solve(&off));
     let sigma = |n: usize| both[(n, n)].sqrt();
     Some(TelemetryInnovation {
@@ -55,7 +66,7 @@ pub fn innovation(pose: &Pose, measured: &Prior) -> Option<TelemetryInnovation> 
         shift_mm: [3, 4, 5].map(|n| off[n]),
         sigma_deg: [0, 1, 2].map(|n| sigma(n).to_degrees()),
         sigma_mm: [3, 4, 5].map(sigma),
-        camera_from_lps,
+        camera_from_lps: *camera_from_lps,
     })
 }
 
@@ -93,8 +104,9 @@ pub fn fuse(mut pose: Pose, measured: &Prior, register: &dyn Fn(&Prior) -> Pose)
         let used = |pose: &Pose| pose.beads.iter().filter(|bead| bead.used).map(|bead| bead.name.clone()).collect::<Vec<_>>();
         if both.is_accepted() && used(&both) == used(&pose) {
             let mut both = Pose { innovation: Some(innovation), ..both };
-            // What the beads alone leave open telemetry does not settle.
-            if let Some(doubt) = pose.doubt.filter(|_| both.doubt.is_none()) {
+            // What the beads alone leave open telemetry does not settle, but for how tightly the pose is held: that is said of both.
+            let is_open = |words: &String| !is_of_looseness(words) && both.doubt.as_deref().is_none_or(is_of_looseness);
+            if let Some(doubt) = pose.doubt.filter(is_open) {
                 both.doubt(doubt);
             }
             return both;

@@ -5,7 +5,9 @@ use nalgebra::DMatrix;
 
 use super::case::Case;
 use super::cautions::Cautions;
-use super::flat::{looseness, off_plane};
+use super::doubt::ORDINARY;
+use super::explained::{Reading, Rejected};
+use super::flat::{looseness, off_plane, worst_landmark};
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
@@ -39,7 +41,8 @@ impl Case<'_> {
         match self.verdict(candidate, &mut notes) {
             Ok(Believed { settled, covariance, chance, cautions }) => {
                 let Cautions { words, doubt, .. } = cautions;
-                Pose { cautions: words, doubt, ..self.accept(&settled, &covariance, chance, notes) }
+                let explained = Some(self.explained(Some((&settled, &covariance))));
+                Pose { cautions: words, doubt, explained, ..self.accept(&settled, &covariance, chance, notes) }
             }
             Err(refusal) => self.refuse(&refusal, notes),
         }
@@ -53,6 +56,7 @@ impl Case<'_> {
         let hypothesis = Hypothesis {
             camera_from_lps: settled.solution.camera_from_lps,
             rms_px: settled.rms_px(),
+            roundness: settled.solution.roundness(&settled.matches),
             matches: settled.matches.clone(),
             ..candidate.hypothesis.clone()
         };
@@ -100,13 +104,17 @@ impl Case<'_> {
             ));
         }
         let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
-        if let Some(loose) = looseness(&settled.solution, &off_plane, self.request.landmarks, &covariance) {
-            cautions.say(loose);
-        } else if off_plane.is_degenerate() {
-            notes.push(format!(
+        let at_landmark = worst_landmark(&settled.solution, self.request.landmarks, &covariance);
+        let is_asked = at_landmark.is_some();
+        match looseness(at_landmark.unwrap_or_else(|| (off_plane.sigma_px, "off their plane".to_owned()))) {
+            // Off the beads' plane nobody may want anything; at a landmark somebody does.
+            Some(loose) if is_asked => cautions.doubt(loose),
+            Some(loose) => cautions.say(loose),
+            None if off_plane.is_degenerate() => notes.push(format!(
                 "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
                 off_plane.sigma_px
-            ));
+            )),
+            None => {}
         }
         if matched < candidate.hypothesis.in_view {
             notes.push(format!("{matched} of {} beads that should be in view are matched", candidate.hypothesis.in_view));
@@ -160,7 +168,14 @@ impl Case<'_> {
         // With K unknown the search was not held to the prior.
         let others: Vec<Hypothesis> =
             candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect();
-        if let Some(other) = rival(&candidate.hypothesis, &others, scale, !prior_given || self.without_prior) {
+        let anywhere = !prior_given || self.without_prior;
+        let best = |others: &[Hypothesis]| rival(&candidate.hypothesis, others, scale, anywhere).cloned();
+        // Where the search has ended with the first good match, not all that share shadows with it are among the others.
+        let sharing = || {
+            let sharing = self.sharing(candidate, settled);
+            best(&sharing).or_else(|| sharing.into_iter().find(|other| other.matches.len() >= matched + ORDINARY))
+        };
+        if let Some(other) = best(&others).or_else(sharing) {
             let own = (&hypothesis.camera_from_lps, matched, hypothesis.rms_px);
             // Two that fit as well are both wrong where the mirror image fits far better.
             let mirrored = self.mirrored(&settled.solution.intrinsics, matched, Some(hypothesis.rms_px));
@@ -168,6 +183,7 @@ impl Case<'_> {
                 self.ambiguous(Rival::OtherNames, own, (&other.camera_from_lps, other.matches.len(), other.rms_px))
             }));
         }
+        self.hear_others(candidate, settled);
         if self.request.intrinsics.is_some()
             && let Some((twin, other_fit)) =
                 mirrored(&settled.matches, &settled.solution.camera_from_lps, &settled.solution.intrinsics)
@@ -177,6 +193,8 @@ impl Case<'_> {
                 let own = (&hypothesis.camera_from_lps, matched, fit);
                 return Err(self.ambiguous(Rival::Flat, own, (&twin, matched, other_fit)));
             }
+            let why = self.excluded(&twin).unwrap_or(Rejected::FitsWorse { chi2_more: other_fit - fit });
+            self.hear(Reading::TiltedPlane, None, &hypothesis.camera_from_lps, why);
         }
         Ok(())
     }

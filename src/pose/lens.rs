@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 
 use super::case::Case;
 use super::cautions::Cautions;
+use super::explained::{Reading, Rejected};
 use super::refusal::{Refusal, taller_words};
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, image_of, solve};
@@ -89,6 +90,8 @@ impl Case<'_> {
         let given: f64 = straight.chi2.iter().sum();
         let ratio = ((given - freed) / terms.len() as f64) / (freed / degrees);
         if !(ratio > needed(BY_CHANCE.0)) {
+            let reading = if fault == Fault::Lens { Reading::Distortion } else { Reading::PixelShape };
+            self.hear(reading, None, &pose, Rejected::NotNeeded { times: ratio, needed: needed(BY_CHANCE.0) });
             return None;
         }
         let rms = |squares: f64| (squares / matches.len() as f64).sqrt();

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::cautions::is_of_looseness;
 use super::file::PoseFileError;
 use super::record::{Covariance, Pose, Status};
 use crate::geometry::Rigid;
@@ -24,7 +25,7 @@ impl Prior {
         Ok(Self::read_with_doubt(path)?.0)
     }
 
-    /// [`Prior::read`], and why the pose it is read from is in doubt, where it is.
+    /// [`Prior::read`], and why the pose it is read from may be another, where it may.
     ///
     /// # Errors
     /// As [`Prior::read`].
@@ -43,7 +44,9 @@ impl Prior {
         if let Some(detail) = prior.fault() {
             return Err(PoseFileError::Covariance { path: path.to_owned(), detail });
         }
-        Ok((prior, pose.doubt))
+        // How loosely it is held its covariance says.
+        let doubt = pose.doubt.filter(|words| covariance.is_none() || !is_of_looseness(words));
+        Ok((prior, doubt))
     }
 
     /// What is wrong with the covariance, if anything.

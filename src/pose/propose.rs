@@ -45,7 +45,7 @@ impl Case<'_> {
 
     /// How far K's own uncertainty may put a bead off beyond what turn, shift and depth make up for: three σ of the focal length act on
     /// differences of depth, a tenth of the depth or so.
-    fn slack_px(&self) -> f64 {
+    pub(super) fn slack_px(&self) -> f64 {
         let [width, height] = self.request.size_px.map(f64::from);
         let relative = self.request.intrinsics_prior.map_or(0.0, |prior| prior.focal_sigma_px / prior.mean.fx);
         3.0 * relative * 0.1 * 0.5 * width.hypot(height)
@@ -123,6 +123,7 @@ impl Case<'_> {
                 found.hypothesis.camera_from_lps = solved.camera_from_lps;
                 let mean = solved.residuals_px.iter().map(|r| r.length_squared()).sum::<f64>() / solved.residuals_px.len() as f64;
                 found.hypothesis.rms_px = mean.sqrt();
+                found.hypothesis.roundness = solved.roundness(&found.hypothesis.matches);
                 if best.as_ref().is_none_or(|b| key(&found) > key(b)) {
                     best = Some(found);
                 }

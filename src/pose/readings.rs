@@ -71,8 +71,13 @@ impl Case<'_> {
     }
 
     pub fn is_elsewhere(&self, pose: &Rigid, last: &Settled) -> bool {
-        let (angle_deg, shift_mm) = self.distance(pose, &last.solution.camera_from_lps);
-        !(angle_deg < SAME_POSE.0 && shift_mm < SAME_POSE.1)
+        !self.is_one(pose, &last.solution.camera_from_lps)
+    }
+
+    /// Whether two poses are one, as far as other readings go.
+    pub fn is_one(&self, a: &Rigid, b: &Rigid) -> bool {
+        let (angle_deg, shift_mm) = self.distance(a, b);
+        angle_deg < SAME_POSE.0 && shift_mm < SAME_POSE.1
     }
 
     /// The matches of all shadows, wherever they put the camera; sought once.
@@ -129,7 +134,12 @@ impl Case<'_> {
         let found = self.reading(&shadows, Some, &mirrored_k, false)?;
         let mirrored = found.matches.len();
         let depth_mm = found.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm()).z;
-        let allowed_px = |m: &Match| 2.0 * ((m.sigma_mm * k.fx / depth_mm).powi(2) + m.sigma_px.powi(2));
+        let turn = found.camera_from_lps.rotation_matrix();
+        // Variances along columns and rows together.
+        let allowed_px = |m: &Match| {
+            let in_camera = turn * m.place_mm2 * turn.transpose();
+            (in_camera.x_axis.x + in_camera.y_axis.y) * (k.fx / depth_mm).powi(2) + m.noise_px2[0] + m.noise_px2[2]
+        };
         let allowed_px = (found.matches.iter().map(allowed_px).sum::<f64>() / mirrored as f64).sqrt();
         let far_better = |rms_px: f64| mirrored >= matched && MIRROR_FIT * found.rms_px < rms_px;
         if !(found.rms_px <= (MIRROR_FIT * allowed_px).max(LEAST_RMS_PX))
@@ -156,7 +166,10 @@ impl Case<'_> {
     /// The shadows in the frame's mirror image, and its K.
     fn mirror_image(&self, k: &Intrinsics) -> (Vec<Detection>, Intrinsics) {
         let end = f64::from(self.request.size_px[0]) - 1.0;
-        let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
+        let turned = |d: &Detection| {
+            let [[uu, uv], [vu, vv]] = d.covariance_px2;
+            Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), covariance_px2: [[uu, -uv], [-vu, vv]], ..*d }
+        };
         (self.detections.iter().map(turned).collect(), mirrored_k(k, end))
     }
 

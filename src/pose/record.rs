@@ -5,6 +5,8 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::cautions::is_of_looseness;
+use super::explained::{Explained, Reading, Rejected, RejectedReading};
 use super::file::{PoseFileError, read_json, write_json};
 use super::hand_marks::Edited;
 use super::refusal::Refusal;
@@ -38,6 +40,9 @@ pub struct Shadow {
     pub image_px: [f64; 2],
     /// Standard deviation of the centre per axis.
     pub sigma_px: f64,
+    /// Covariance of the centre, columns and rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance_px2: Option<[[f64; 2]; 2]>,
     /// Fitted radius.
     pub radius_px: f64,
     /// Contrast over the noise.
@@ -49,8 +54,14 @@ pub struct Shadow {
 impl Shadow {
     pub(super) fn of(detection: &Detection, bead: Option<String>) -> Self {
         let Detection { image_px, sigma_px, radius_px, snr, .. } = *detection;
-        Self { image_px: image_px.to_array(), sigma_px, radius_px, snr, bead }
+        let covariance_px2 = Some(square(detection.noise_px2()));
+        Self { image_px: image_px.to_array(), sigma_px, covariance_px2, radius_px, snr, bead }
     }
+}
+
+/// A 2×2 covariance from uu, uv, vv.
+pub(super) fn square([uu, uv, vv]: [f64; 3]) -> [[f64; 2]; 2] {
+    [[uu, uv], [uv, vv]]
 }
 
 /// A rigid part and where it is.
@@ -182,7 +193,8 @@ pub struct Pose {
     /// What a person should look at before an accepted pose is used.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub cautions: Vec<String>,
-    /// The first of the cautions that leaves open whether the pose is this one: another reading, another scale, a mirror image.
+    /// The first of the cautions that leaves open whether the pose is this one: another reading, another scale, a mirror image; else that it is
+    /// uncertain at a landmark.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doubt: Option<String>,
     /// P: `lps` mm to `image` px, third coordinate the depth in mm.
@@ -251,6 +263,9 @@ pub struct Pose {
     /// The same pose in the panel's own pixels and axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detector: Option<DetectorPose>,
+    /// What was looked at besides: the prior, other readings and why they do not stand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub explained: Option<Explained>,
     /// What of its observations comes from a hand; absent where nothing does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub edited: Option<Edited>,
@@ -268,15 +283,35 @@ impl Pose {
         Self { status: Status::Refused, reason: Some(refusal.to_string()), refusal: Some(refusal), ..self }
     }
 
-    /// A caution that leaves open whether the pose is this one.
+    /// Whether it is in doubt, and not only for how loosely the beads hold it.
+    #[must_use]
+    pub fn may_be_another(&self) -> bool {
+        self.doubt.as_deref().is_some_and(|words| !is_of_looseness(words))
+    }
+
+    /// A caution that leaves open whether the pose is this one; the first stands for all, but that a pose is loose gives way to any other.
     pub fn doubt(&mut self, words: String) {
-        self.doubt.get_or_insert_with(|| words.clone());
+        if self.doubt.as_deref().is_none_or(is_of_looseness) {
+            self.doubt = Some(words.clone());
+        }
         self.cautions.push(words);
+    }
+
+    /// That a reading which came to no pose of its own does not stand.
+    pub(super) fn reject(&mut self, reading: Reading, why: Rejected) {
+        self.explained.get_or_insert_default().readings.push(RejectedReading { reading, found: None, why: why.finite() });
+    }
+
+    /// Says where the prior came from, if there was one and nobody has said so.
+    pub fn prior_from(&mut self, source: &str) {
+        if let Some(prior) = self.explained.as_mut().and_then(|explained| explained.prior.as_mut()) {
+            prior.source.get_or_insert_with(|| source.to_owned());
+        }
     }
 
     /// An accepted pose, refused after all: what was found stays, what must not be used goes.
     pub(super) fn without_pose(self, refusal: Refusal) -> Self {
-        let Self { size_px, pitch_mm, intrinsics, intrinsics_source, beads, detections, shadows, notes, version, .. } = self;
+        let Self { size_px, pitch_mm, intrinsics, intrinsics_source, beads, detections, shadows, explained, .. } = self;
         let beads = beads.into_iter().map(|bead| BeadResidual { used: false, ..bead }).collect();
         let kept = Self {
             size_px,
@@ -286,8 +321,9 @@ impl Pose {
             beads,
             detections,
             shadows,
-            notes,
-            version,
+            explained,
+            notes: self.notes,
+            version: self.version,
             ..Self::default()
         };
         kept.refused_for(refusal)

@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use super::bodies;
 use super::case::Case;
+use super::explained::{Reading, Rejected};
 use super::prior::Prior;
 use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
@@ -90,10 +91,14 @@ fn either_polarity(request: &Registration, frame: &Frame, looked: &Looked) -> Po
             Polarity::Bright => Polarity::Dark,
         };
         let mut other = attempt(request, &detections.opposite, probe(polarity));
+        let why = |refused: &Pose| Rejected::Refused { reason: refused.reason.clone().unwrap_or_default() };
         if other.is_accepted() {
             other.notes.insert(0, detections.evidence.clone());
             other.cautions.push("the beads matched in the other polarity than most shadows have".to_owned());
+            other.reject(Reading::OtherPolarity, why(&pose));
             pose = other;
+        } else {
+            pose.reject(Reading::OtherPolarity, why(&other));
         }
     }
     pose
@@ -222,7 +227,8 @@ impl Case<'_> {
             let prior_puts_into_frame = self.request.prior_puts_into_frame();
             return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame }, notes);
         }
-        let near = self.propose(self.request.prior).map(|candidate| self.judge(&candidate, notes.clone()));
+        let candidate = self.propose(self.request.prior);
+        let near = candidate.as_ref().map(|candidate| self.judge(candidate, notes.clone()));
         // A match that accident explains, or that the frame speaks against, is as good as none: the prior may be of another specimen, or of
         // yesterday.
         let as_good_as_none = |pose: &Pose| {
@@ -232,6 +238,14 @@ impl Case<'_> {
         };
         if let Some(pose) = near.as_ref().filter(|pose| !as_good_as_none(pose)) {
             return pose.clone();
+        }
+        if let (Some(prior), Some(found), Some(pose)) = (self.request.prior, &candidate, &near) {
+            let (matched, rms_px) = (found.hypothesis.matches.len(), found.hypothesis.rms_px);
+            let reading = (&found.hypothesis.camera_from_lps, matched, rms_px);
+            let why = Rejected::Refused { reason: pose.reason.clone().unwrap_or_default() };
+            // What was heard of others was heard of this match.
+            self.heard.borrow_mut().clear();
+            self.hear(Reading::NearPrior, Some(reading), &prior.camera_from_lps, why);
         }
         // A prior that is fused is not given up; that it contradicts the beads is said.
         let may_differ = |prior: &&Prior| !self.request.fuse || near.is_none() && prior.covariance.is_some();

@@ -4,6 +4,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::beads::tags::Family;
+use crate::beads::{Detection, PlaceCovariance};
 
 /// A bead's part in a pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,14 +16,20 @@ pub struct BeadResidual {
     pub body: String,
     /// Its place in the layout.
     pub lps_mm: DVec3,
+    /// Covariance of that place, where the layout states one, or a standard deviation.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub covariance_mm2: Option<PlaceCovariance>,
     /// Its projection as observed (bias of the shadow's centre corrected); absent when no shadow was matched.
     pub image_px: Option<[f64; 2]>,
     /// Where P puts it.
     pub predicted_px: Option<[f64; 2]>,
     /// Observed minus predicted.
     pub residual_px: Option<[f64; 2]>,
-    /// Standard deviation of the observed centre per axis, from the image alone.
+    /// Standard deviation of the observed centre per axis, the mean of both.
     pub sigma_px: Option<f64>,
+    /// Covariance of the observed centre, columns and rows, from the image alone.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub covariance_px2: Option<[[f64; 2]; 2]>,
     /// Observed minus predicted by the pose of all other used beads: what an unseen point would have shown.
     pub left_out_px: Option<[f64; 2]>,
     /// Of a bead without a shadow: the shadow next to its place that is no other's, minus predicted. The bead may have moved.
@@ -39,6 +46,19 @@ pub struct BeadResidual {
     /// It has the role `check`.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub check: bool,
+}
+
+/// uu, uv, vv of a centre whose covariance is stated and is one, else of `sigma_px` along both axes.
+pub(super) fn noise_px2(stated: Option<[[f64; 2]; 2]>, sigma_px: f64) -> [f64; 3] {
+    Detection { sigma_px, covariance_px2: stated.unwrap_or_default(), ..Detection::default() }.noise_px2()
+}
+
+impl BeadResidual {
+    /// Covariance of the observed centre, uu, uv, vv in px²: as it is stated, else of `sigma_px` along both axes; `None` of no shadow.
+    #[must_use]
+    pub fn noise_px2(&self) -> Option<[f64; 3]> {
+        self.sigma_px.map(|sigma_px| noise_px2(self.covariance_px2, sigma_px))
+    }
 }
 
 /// A tag's part in a pose.

@@ -33,6 +33,10 @@ pub struct Search<'a> {
     pub slack_px: f64,
     /// Poses from three points, at most about so many.
     pub budget: u64,
+    /// Shadows by which poses are sought: three of one group, and none of those in no group. Empty: any three.
+    pub groups: Vec<Option<usize>>,
+    /// Beads that a match must have, four at least.
+    pub fewest: usize,
     /// Whether a bead could be seen at a place in the frame.
     pub shows: Box<dyn Fn(DVec2) -> bool + Sync + 'a>,
 }
@@ -43,6 +47,8 @@ pub struct Hypothesis {
     pub camera_from_lps: Rigid,
     pub matches: Vec<Match>,
     pub rms_px: f64,
+    /// Area of the ellipses in which its shadows lie, over that of circles of the same mean square.
+    pub roundness: f64,
     /// Σ over beads in view of min(χ², `MISSED`): smaller is better.
     pub score: f64,
     /// Beads that the pose puts where the frame could show them.
@@ -65,6 +71,11 @@ pub const MISSED: f64 = 30.0;
 pub const BUDGET: u64 = 3_000_000;
 /// A gate is so much wider for poses from three points.
 pub const ROUGH_GATE: f64 = 1.5;
+/// Beads that a match has at least: three make a pose.
+pub const FEWEST: usize = 4;
+/// The others' noise moves a pose as well: a shadow is looked for as if the place of its bead were known no better than so, as a share of the
+/// direction in which it is known worst.
+const LEAST_SHARE: f64 = 0.5;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
 
@@ -118,13 +129,18 @@ impl Search<'_> {
         !self.barred.contains(&detection) && self.pinned.iter().all(|(b, d)| (*b == bead) == (*d == detection))
     }
 
+    /// Whether two shadows may be of one triple.
+    fn go_together(&self, a: usize, b: usize) -> bool {
+        self.groups.is_empty() || self.groups[a].is_some() && self.groups[a] == self.groups[b]
+    }
+
     /// Index triples of detections, best first.
     fn triples(&self) -> Vec<[usize; 3]> {
         let count = self.detections.len();
         let mut triples = Vec::new();
         for c in 2..count {
-            for b in 1..c {
-                for a in 0..b {
+            for b in (1..c).filter(|b| self.go_together(*b, c)) {
+                for a in (0..b).filter(|a| self.go_together(*a, b)) {
                     triples.push([a, b, c]);
                 }
             }
@@ -237,7 +253,7 @@ impl Search<'_> {
                 worth += 1.0 - 0.5 * nearest / (limit * limit);
             }
         }
-        (agreeing >= 1 && agreeing + 3 >= 4.min(self.targets.len())).then_some(worth)
+        (agreeing >= 1 && agreeing + 3 >= self.fewest.min(self.targets.len())).then_some(worth)
     }
 
     /// Re-matches and re-solves from a rough pose, tightening.
@@ -248,9 +264,8 @@ impl Search<'_> {
         let mut matches = Vec::new();
         let mut solution: Option<Solution> = None;
         for factor in [9.0, 5.0, 4.5] {
-            matches =
-                self.assign(&pose, tables, |target| self.slack_px + (factor * target.sigma_mm * px_per_mm).max(0.4 * factor));
-            if matches.len() < 4 {
+            matches = self.assign(&pose, tables, |sigma_mm| self.slack_px + (factor * sigma_mm * px_per_mm).max(0.4 * factor));
+            if matches.len() < self.fewest {
                 return None;
             }
             let options = Options { loss: 3.0, iterations: 12, ..Options::least_squares(Free::Pose) };
@@ -282,12 +297,14 @@ impl Search<'_> {
                 None => 0.0,
             };
         }
-        let mean = solution.residuals_px.iter().map(|r| r.length_squared()).sum::<f64>() / matches.len() as f64;
-        Some(Hypothesis { camera_from_lps: pose, matches, rms_px: mean.sqrt(), score, in_view })
+        let (rms_px, roundness) = (solution.rms_px(), solution.roundness(&matches));
+        Some(Hypothesis { camera_from_lps: pose, matches, rms_px, roundness, score, in_view })
     }
 
-    /// One-to-one, nearest pairs first, within `limit_px` of a bead's projection.
-    fn assign(&self, pose: &Rigid, tables: &Tables, limit_px: impl Fn(&Target) -> f64) -> Vec<Match> {
+    /// One-to-one, nearest pairs first, within `limit_px` of a bead's projection, which depends on how well the bead's place is known (mm) along
+    /// what would take its image to the shadow.
+    fn assign(&self, pose: &Rigid, tables: &Tables, limit_px: impl Fn(f64) -> f64) -> Vec<Match> {
+        let lps_from_camera = pose.rotation.inverse();
         let mut pairs = Vec::new();
         for (bead, target) in self.targets.iter().enumerate() {
             let p = pose.transform_point(target.lps_mm);
@@ -295,9 +312,17 @@ impl Search<'_> {
                 continue;
             }
             let at = self.intrinsics.project(p);
+            let [by_u, by_v] = self.intrinsics.slopes_px_per_mm(p).map(|row| lps_from_camera * row);
+            let widest_px = limit_px(target.sigma_mm);
             for (n, detection) in self.detections.iter().enumerate() {
-                let distance = detection.image_px.distance(at);
-                if distance < limit_px(target) + 4.0 * detection.sigma_px && tables.radius_fits(bead, n, p.z) {
+                let off = detection.image_px - at;
+                let distance = off.length();
+                // No centre is known 1.5 times worse along one direction than on the mean of two.
+                if !(distance < widest_px + 6.0 * detection.sigma_px) || !tables.radius_fits(bead, n, p.z) {
+                    continue;
+                }
+                let along_mm = target.sigma_along_mm(by_u * off.x + by_v * off.y).max(LEAST_SHARE * target.sigma_mm);
+                if distance < limit_px(along_mm) + 4.0 * detection.sigma_along_px(off) {
                     pairs.push((distance, bead, n));
                 }
             }
@@ -309,14 +334,8 @@ impl Search<'_> {
                 continue;
             }
             let (target, found) = (&self.targets[bead], &self.detections[detection]);
-            matches.push(Match {
-                bead,
-                detection,
-                lps_mm: target.lps_mm,
-                image_px: unbiased(&self.intrinsics, found),
-                sigma_px: found.sigma_px.max(0.003),
-                sigma_mm: target.sigma_mm,
-            });
+            let place = (target.lps_mm, target.place_mm2);
+            matches.push(Match::new(bead, place, detection, found, unbiased(&self.intrinsics, found)));
         }
         matches.sort_by_key(|m| m.bead);
         matches
@@ -365,7 +384,7 @@ mod tests {
     #[test]
     fn a_search_that_tried_every_triple_is_not_cut_short() {
         let places = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| 60.0 * p);
-        let targets = places.map(|lps_mm| Target { lps_mm, sigma_mm: 0.1, radius_mm: None });
+        let targets = places.map(|lps_mm| Target { lps_mm, sigma_mm: 0.1, place_mm2: DMat3::IDENTITY * 0.01, radius_mm: None });
         let intrinsics = Intrinsics { fx: 1000.0, fy: 1000.0, skew: 0.0, cx: 255.5, cy: 255.5 };
         let found = |shadows: u32| {
             let at = |n: u32| intrinsics.project(Rigid::translation(DVec3::Z * 700.0).transform_point(places[n as usize % 4]));
@@ -389,6 +408,8 @@ mod tests {
                 barred,
                 slack_px,
                 budget: 0,
+                groups: Vec::new(),
+                fewest: FEWEST,
                 shows: Box::new(|_| true),
             }
             .run(|_, _| false)

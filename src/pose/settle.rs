@@ -1,12 +1,12 @@
 //! The pose of a match: solved from every start there is, freed of beads that do not fit.
 
-use glam::{DVec2, DVec3};
-use nalgebra::{DMatrix, Matrix2, Vector2};
+use glam::{DMat3, DVec2, DVec3};
+use nalgebra::{DMatrix, Vector2};
 
 use super::case::Case;
 use super::propose::Candidate;
 use super::search::MISSED;
-use super::solve::{Match, Measured, Options, Solution, image_by_point, left_out, solve};
+use super::solve::{Match, Measured, Options, Solution, image_spread, left_out, solve};
 use super::start;
 
 /// Squared residual (in standard deviations, two degrees of freedom) beyond which a bead is left out.
@@ -49,21 +49,18 @@ impl Settled {
         self.solution.rms_px()
     }
 
-    /// `off_px`, of a bead that the pose does not rest on, in standard deviations of its place (`sigma_mm` per axis), its shadow's
-    /// (`sigma_px`) and the prediction's; `covariance` is the solution's, scaled perhaps. `None` behind the source.
+    /// `off_px`, of a bead that the pose does not rest on, in standard deviations of its place (covariance `place_mm2`), its shadow's
+    /// (`noise_px2`: uu, uv, vv) and the prediction's; `covariance` is the solution's, scaled perhaps. `None` behind the source.
     pub fn off_sigmas(
         &self,
         covariance: &DMatrix<f64>,
-        lps_mm: DVec3,
-        sigma_mm: f64,
-        sigma_px: f64,
+        (lps_mm, place_mm2): (DVec3, DMat3),
+        noise_px2: [f64; 3],
         off_px: DVec2,
     ) -> Option<f64> {
-        let p = self.solution.camera_from_lps.transform_point(lps_mm);
-        let by_place = image_by_point(&self.solution.intrinsics, p);
+        let Solution { intrinsics, camera_from_lps, .. } = &self.solution;
         let spread = self.solution.sharpness(lps_mm, covariance).image_px2?
-            + by_place * by_place.transpose() * sigma_mm.powi(2)
-            + Matrix2::identity() * sigma_px.powi(2);
+            + image_spread(intrinsics, camera_from_lps, lps_mm, &place_mm2, noise_px2);
         let off = Vector2::new(off_px.x, off_px.y);
         Some((off.transpose() * spread.try_inverse()? * off)[(0, 0)].sqrt()).filter(|sigmas| sigmas.is_finite())
     }

@@ -1,15 +1,20 @@
 //! Pose (and K) from matched beads, by the estimation core.
 //!
-//! A bead's measurement has the covariance Σ = σ_px² 1 + σ_mm² A Aᵀ, A = ∂(u, v)/∂p: noise of the image and of the bead's place.
+//! A bead's measurement has the covariance S = Σ_px + A Σ_mm Aᵀ, A = ∂(u, v)/∂p at the pose: noise of the shadow's centre and of the
+//! bead's place. All that judges a bead, or a match, does so by S.
 
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2};
 
 use super::refusal::IntrinsicsNumber;
+use crate::beads::Detection;
 use crate::estimate::{BeadImage, Freedom, LeftOut, Loss, Place, PoseBlock, PosePrior, Problem, Reading, Settings, VectorBlock};
 use crate::geometry::{Intrinsics, PanelWindow, Rigid};
 
 pub use crate::estimate::{about, deviation};
+
+/// Ellipses are as good as round from this share of their circle's area on.
+const ROUND: f64 = 0.9;
 
 /// A bead and its shadow.
 #[derive(Clone, Copy, Debug)]
@@ -20,8 +25,47 @@ pub struct Match {
     pub detection: usize,
     pub lps_mm: DVec3,
     pub image_px: DVec2,
+    /// Standard deviation of `image_px` per axis, the mean of both.
     pub sigma_px: f64,
-    pub sigma_mm: f64,
+    /// Covariance of `image_px`: uu, uv, vv.
+    pub noise_px2: [f64; 3],
+    /// Covariance of `lps_mm`.
+    pub place_mm2: DMat3,
+}
+
+impl Match {
+    /// Bead `bead` at a place known to a covariance, and the shadow of number `detection`, whose centre stands for the bead's at `image_px`.
+    pub fn new(bead: usize, (lps_mm, place_mm2): (DVec3, DMat3), detection: usize, shadow: &Detection, image_px: DVec2) -> Self {
+        let noise_px2 = shadow.noise_px2();
+        let sigma_px = (0.5 * (noise_px2[0] + noise_px2[2])).sqrt();
+        Self { bead, detection, lps_mm, image_px, sigma_px, noise_px2, place_mm2 }
+    }
+}
+
+/// S of a place known to `place_mm2` that a camera puts into the picture, beside a shadow whose centre is known to `noise_px2` (uu, uv, vv).
+#[must_use]
+pub fn image_spread(
+    intrinsics: &Intrinsics,
+    camera_from_lps: &Rigid,
+    lps_mm: DVec3,
+    place_mm2: &DMat3,
+    noise_px2: [f64; 3],
+) -> Matrix2<f64> {
+    let by_place = image_by_point(intrinsics, camera_from_lps.transform_point(lps_mm));
+    let turn = camera_from_lps.rotation_matrix();
+    let in_camera = turn * *place_mm2 * turn.transpose();
+    let in_camera = Matrix3::from_fn(|i, j| in_camera.col(j)[i]);
+    let [uu, uv, vv] = noise_px2;
+    Matrix2::new(uu, uv, uv, vv) + by_place * in_camera * by_place.transpose()
+}
+
+/// Length of an offset, px, as it were if the ellipse of its `spread` S were a circle of the same mean square: √(offᵀ S⁻¹ off · tr S / 2).
+/// Where S is a circle that is the offset's own.
+#[must_use]
+pub fn rounded_px(off_px: DVec2, spread: &Matrix2<f64>) -> f64 {
+    let off = Vector2::new(off_px.x, off_px.y);
+    let sigmas2 = spread.try_inverse().map_or(f64::NAN, |information| off.dot(&(information * off)));
+    (0.5 * sigmas2 * spread.trace()).sqrt()
 }
 
 /// K with independent Gaussian uncertainties: square pixels, one focal length.
@@ -118,7 +162,7 @@ pub struct Options {
     pub free: Free,
     /// Cauchy loss at this many standard deviations; infinite: least squares.
     pub loss: f64,
-    /// The weights take this share of σ_mm; the covariance always takes all of it.
+    /// The weights take this share of the standard deviations of the beads' places; the covariance always takes all of them.
     pub sigma_mm_share: f64,
     pub measured: Option<Measured>,
     pub iterations: usize,
@@ -137,7 +181,7 @@ pub struct Solution {
     pub intrinsics: Intrinsics,
     /// Observed minus projected, per match.
     pub residuals_px: Vec<DVec2>,
-    /// Squared residual in standard deviations (two degrees of freedom), per match, with all of σ_mm.
+    /// Squared residual in standard deviations (two degrees of freedom), per match, by all of S.
     pub chi2: Vec<f64>,
     /// Squared deviation from the priors, of pose and K together.
     pub prior_chi2: f64,
@@ -164,6 +208,28 @@ impl Solution {
     pub fn rms_px(&self) -> f64 {
         let squares = self.residuals_px.iter().map(|r| r.length_squared()).sum::<f64>();
         (squares / self.residuals_px.len().max(1) as f64).sqrt()
+    }
+
+    /// S of a match.
+    fn spread(&self, m: &Match) -> Matrix2<f64> {
+        image_spread(&self.intrinsics, &self.camera_from_lps, m.lps_mm, &m.place_mm2, m.noise_px2)
+    }
+
+    /// Σ of the squared residuals of `matches`, px², each as [`rounded_px`] has it.
+    #[must_use]
+    pub fn rounded_px2(&self, matches: &[Match]) -> f64 {
+        matches.iter().zip(&self.residuals_px).map(|(m, off)| rounded_px(*off, &self.spread(m)).powi(2)).sum()
+    }
+
+    /// Area of the ellipses in which shadows lie by S, over that of circles of the same mean square; 1 where they are as good as round.
+    #[must_use]
+    pub fn roundness(&self, matches: &[Match]) -> f64 {
+        let (ellipses, circles) = matches.iter().map(|m| self.spread(m)).fold((0.0, 0.0), |(ellipses, circles), spread| {
+            (ellipses + spread.determinant().max(0.0).sqrt(), circles + 0.5 * spread.trace())
+        });
+        let share = ellipses / circles;
+        // Not a number is round.
+        if share < ROUND { share } else { 1.0 }
     }
 
     /// Where P puts a place, and the same where it lies in front of the source.
@@ -216,12 +282,10 @@ pub fn square_pixels(k: &Intrinsics) -> Freedom {
     Freedom::Along(DMatrix::from_row_slice(5, 3, &shares))
 }
 
-/// A match as a residual; the weights take `share` of σ_mm.
+/// A match as a residual; the weights take `share` of the place's standard deviations.
 pub(super) fn image_of(m: &Match, camera: PoseBlock, intrinsics: VectorBlock, share: f64) -> BeadImage {
-    let covariance_mm2 = DMat3::from_diagonal(DVec3::splat(m.sigma_mm.powi(2)));
-    let place = Place::Known { body_mm: m.lps_mm, covariance_mm2, share };
-    let variance = m.sigma_px.powi(2).max(1e-8);
-    BeadImage::new(camera, intrinsics, place, m.image_px, [variance, 0.0, variance])
+    let place = Place::Known { body_mm: m.lps_mm, covariance_mm2: m.place_mm2, share };
+    BeadImage::new(camera, intrinsics, place, m.image_px, m.noise_px2)
 }
 
 /// The problem, with bead n as residual n and the priors behind them.
@@ -262,8 +326,7 @@ pub fn solve(matches: &[Match], start: &Rigid, intrinsics: &Intrinsics, options:
             return estimate.chi2(n);
         }
         let m = &matches[n];
-        let a = image_by_point(&solved, pose.transform_point(m.lps_mm));
-        let spread = Matrix2::identity() * m.sigma_px.powi(2).max(1e-8) + a * a.transpose() * m.sigma_mm.powi(2);
+        let spread = image_spread(&solved, &pose, m.lps_mm, &m.place_mm2, m.noise_px2);
         let off = Vector2::new(off(n).x, off(n).y);
         spread.try_inverse().map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off)))
     };
@@ -305,7 +368,9 @@ mod tests {
                 let place = DVec3::new(80.0 * side(0), 80.0 * side(1), 60.0 * side(2)) * (0.6 + 0.4 * random.uniform());
                 let noise = DVec2::new(random.normal(), random.normal()) * 0.05;
                 let image_px = k.project(pose.transform_point(place)) + noise;
-                Match { bead: n, detection: n, lps_mm: place, image_px, sigma_px: 0.05, sigma_mm: 0.05 }
+                let place_mm2 = DMat3::from_diagonal(DVec3::splat(0.05f64.powi(2)));
+                let (sigma_px, noise_px2) = (0.05, [0.0025, 0.0, 0.0025]);
+                Match { bead: n, detection: n, lps_mm: place, image_px, sigma_px, noise_px2, place_mm2 }
             })
             .collect();
         (matches, pose, k)

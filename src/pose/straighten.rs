@@ -22,20 +22,7 @@ impl Registration<'_> {
     /// Shadows with place, covariance and size in the undistorted picture; those outside the disc are none.
     pub(super) fn straight_shadows(&self, found: Vec<Detection>) -> Vec<Detection> {
         let Some(distortion) = self.distortion else { return found };
-        let straight = |shadow: Detection| {
-            let jacobian = distortion.jacobian(shadow.image_px);
-            let [[uu, uv], [vu, vv]] = shadow.covariance_px2;
-            let covariance = jacobian * DMat2::from_cols_array_2d(&[[uu, vu], [uv, vv]]) * jacobian.transpose();
-            let enlarged = jacobian.determinant().sqrt();
-            Detection {
-                image_px: distortion.undistorted(shadow.image_px),
-                sigma_px: (0.5 * (covariance.x_axis.x + covariance.y_axis.y)).sqrt(),
-                covariance_px2: covariance.transpose().to_cols_array_2d(),
-                radius_px: shadow.radius_px * enlarged,
-                ..shadow
-            }
-        };
-        found.into_iter().filter(|shadow| distortion.sees(shadow.image_px)).map(straight).collect()
+        found.iter().filter(|shadow| distortion.sees(shadow.image_px)).map(|shadow| shadow.straightened(distortion)).collect()
     }
 
     /// Tags with their places in the undistorted picture.

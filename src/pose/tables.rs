@@ -1,6 +1,6 @@
 //! What a search asks of every triple of shadows and beads, once for all.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::occupancy::Occupancy;
 use crate::beads::Detection;
@@ -16,8 +16,19 @@ const TELLS_NOTHING: f64 = 1000.0;
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
     pub lps_mm: DVec3,
+    /// Standard deviation of its place along the direction that is known worst.
     pub sigma_mm: f64,
+    /// Covariance of its place.
+    pub place_mm2: DMat3,
     pub radius_mm: Option<f64>,
+}
+
+impl Target {
+    /// Standard deviation of its place along a direction in `lps` of any length.
+    pub fn sigma_along_mm(&self, direction: DVec3) -> f64 {
+        let along = direction.normalize_or_zero();
+        along.dot(self.place_mm2 * along).max(0.0).sqrt()
+    }
 }
 
 /// See the module.

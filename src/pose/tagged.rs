@@ -3,7 +3,7 @@
 //! Four corners of a known square give two poses, which differ by the square's tilt about the line of sight; corners of several tags give
 //! one. Tags that agree are found from pairs of them, so that one that is misread or has been moved does not spoil the others.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use nalgebra::{DMatrix, Matrix3, Matrix6, SVector};
 
 use super::prior::Prior;
@@ -86,14 +86,16 @@ impl TagPose {
 
 /// The corners of a view as matches; they belong to no bead and no shadow.
 pub(super) fn corners(view: &View) -> impl Iterator<Item = Match> {
-    let sigma_mm = view.tag.sigma_mm;
+    let place_mm2 = DMat3::from_diagonal(DVec3::splat(view.tag.sigma_mm.powi(2)));
+    let variance = CORNER_SIGMA_PX.powi(2);
     view.tag.corners_lps_mm().into_iter().zip(view.seen.corners_px).map(move |(lps_mm, image_px)| Match {
         bead: usize::MAX,
         detection: usize::MAX,
         lps_mm,
         image_px,
         sigma_px: CORNER_SIGMA_PX,
-        sigma_mm,
+        noise_px2: [variance, 0.0, variance],
+        place_mm2,
     })
 }
 
@@ -169,8 +171,7 @@ pub(super) fn off_by(corner: &Match, solution: &Solution, covariance: &DMatrix<f
     let image = super::solve::image_by_point(k, p);
     let by_pose = image * super::solve::point_by_pose(p, solution.centroid_mm);
     let pose = Matrix6::from_fn(|i, j| covariance[(i, j)]);
-    let spread = nalgebra::Matrix2::identity() * corner.sigma_px.powi(2)
-        + image * image.transpose() * corner.sigma_mm.powi(2)
+    let spread = super::solve::image_spread(k, &solution.camera_from_lps, corner.lps_mm, &corner.place_mm2, corner.noise_px2)
         + by_pose * pose * by_pose.transpose();
     let off = corner.image_px - k.project(p);
     let off = nalgebra::Vector2::new(off.x, off.y);

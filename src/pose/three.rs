@@ -17,7 +17,7 @@ use super::record::{Covariance, Pose};
 use super::request::Registration;
 use super::search::apart;
 use super::settle::Settled;
-use super::solve::{Free, Match, Measured, Options, Solution, image_by_point, point_by_pose, solve};
+use super::solve::{Free, Match, Measured, Options, Solution, image_by_point, image_spread, point_by_pose, solve};
 use super::triangle::{Images, depths, pose as pose_of, rough_depths};
 use super::verdict::MOST_CHANCE;
 use crate::beads::{Bead, Detection};
@@ -27,9 +27,9 @@ use crate::geometry::{Intrinsics, Rigid};
 const MOST_BEADS: usize = 8;
 /// Squared deviation of shadows and expectation together (six degrees of freedom) of what is believed: one in a thousand is farther off.
 const MOST_OFF: f64 = 22.5;
-/// The same by the linear rule, which errs by half of the turn times the shift, and how far a shadow may be from it, px.
+/// The same by the linear rule, which errs by half of the turn times the shift, and how far a shadow may be from it: variances, px².
 const ROUGHLY_OFF: f64 = 2.0 * MOST_OFF;
-const SLACK_PX: f64 = 2.0;
+const SLACK_PX2: [f64; 3] = [4.0, 0.0, 4.0];
 /// Triples that are tried by that rule, and solved.
 const MOST_TRIED: usize = 300_000;
 const MOST_SOLVED: usize = 24;
@@ -166,14 +166,14 @@ impl Body<'_, '_> {
     }
 
     /// What a bead's own uncertainty, and its shadow's, spread its image by.
-    fn noise(&self, bead: usize, sigma_px: f64) -> Matrix2<f64> {
-        let by_place = image_by_point(&self.expected.intrinsics, self.in_camera(bead));
-        let sigma_mm = self.case.request.layout.beads[bead].sigma_or_default_mm();
-        Matrix2::identity() * sigma_px.powi(2) + by_place * by_place.transpose() * sigma_mm.powi(2)
+    fn noise(&self, bead: usize, noise_px2: [f64; 3]) -> Matrix2<f64> {
+        let Expected { camera_from_lps, intrinsics, .. } = self.expected;
+        let own = &self.case.request.layout.beads[bead];
+        image_spread(intrinsics, camera_from_lps, own.lps_mm, &own.place_mm2(), noise_px2)
     }
 
     /// Covariance of the images of three beads about where they are expected, by that of the pose.
-    fn spread(&self, beads: [usize; 3], pose: &Matrix6<f64>, sigmas_px: [f64; 3]) -> Matrix6<f64> {
+    fn spread(&self, beads: [usize; 3], pose: &Matrix6<f64>, noises_px2: [[f64; 3]; 3]) -> Matrix6<f64> {
         let mut rows = Matrix6::zeros();
         for (n, bead) in beads.into_iter().enumerate() {
             let p = self.in_camera(bead);
@@ -182,7 +182,7 @@ impl Body<'_, '_> {
         }
         let mut spread = rows * pose * rows.transpose();
         for (n, bead) in beads.into_iter().enumerate() {
-            let noise = self.noise(bead, sigmas_px[n]);
+            let noise = self.noise(bead, noises_px2[n]);
             for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                 spread[(2 * n + i, 2 * n + j)] += noise[(i, j)];
             }
@@ -206,7 +206,7 @@ impl Body<'_, '_> {
         let [a, b, c] = matches else { return None };
         let camera = Matrix6::from_fn(|i, j| self.expected.covariance[i][j]);
         let beads = [a.bead, b.bead, c.bead];
-        let inverse = self.spread(beads, &camera, [a.sigma_px, b.sigma_px, c.sigma_px]).try_inverse()?;
+        let inverse = self.spread(beads, &camera, [a.noise_px2, b.noise_px2, c.noise_px2]).try_inverse()?;
         Some(self.squares(beads, [a.detection, b.detection, c.detection], &inverse)).filter(|off| off.is_finite())
     }
 
@@ -214,7 +214,7 @@ impl Body<'_, '_> {
     fn may_be(&self, bead: usize) -> Vec<usize> {
         let (request, p) = (self.case.request, self.in_camera(bead));
         let by_pose: Matrix2x6<f64> = image_by_point(&self.expected.intrinsics, p) * point_by_pose(p, DVec3::ZERO);
-        let spread = by_pose * self.covariance * by_pose.transpose() + self.noise(bead, SLACK_PX);
+        let spread = by_pose * self.covariance * by_pose.transpose() + self.noise(bead, SLACK_PX2);
         let Some(inverse) = spread.try_inverse().filter(|_| p.z > 1.0) else { return Vec::new() };
         let radius_px = request.layout.radius_mm(bead, request.bead_radius_mm).map(|mm| mm * self.expected.intrinsics.fx / p.z);
         // Of those that a person has put together either both are meant or none.
@@ -245,7 +245,7 @@ impl Body<'_, '_> {
         }
         let mut triples = Vec::new();
         for beads in choices {
-            let spread = self.spread(beads, &self.covariance, [SLACK_PX; 3]);
+            let spread = self.spread(beads, &self.covariance, [SLACK_PX2; 3]);
             let Some(inverse) = spread.try_inverse() else { continue };
             let [first, second, third] = beads.map(|bead| &may_be[bead]);
             for a in first {
@@ -271,14 +271,7 @@ impl Body<'_, '_> {
             .map(|n| {
                 let (bead, detection) = (triple.beads[n], triple.shadows[n]);
                 let (own, shadow) = (&self.case.request.layout.beads[bead], &self.case.detections[detection]);
-                Match {
-                    bead,
-                    detection,
-                    lps_mm: own.lps_mm,
-                    image_px: shadow.image_px,
-                    sigma_px: shadow.sigma_px,
-                    sigma_mm: own.sigma_or_default_mm(),
-                }
+                Match::new(bead, (own.lps_mm, own.place_mm2()), detection, shadow, shadow.image_px)
             })
             .collect();
         let points: [DVec3; 3] = std::array::from_fn(|n| matches[n].lps_mm);
@@ -312,7 +305,7 @@ impl Body<'_, '_> {
         let per_px2 = shadows / self.expected.area_px2.max(1.0);
         let others_per_px2 = (shadows - 3.0).max(0.0) / self.expected.area_px2.max(1.0);
         let of = |beads: [usize; 3]| {
-            let spread = self.spread(beads, &self.covariance, [SLACK_PX; 3]);
+            let spread = self.spread(beads, &self.covariance, [SLACK_PX2; 3]);
             let Some(inverse) = spread.try_inverse() else { return f64::INFINITY };
             let all = PI.powi(3) / 6.0 * off.powi(3) * spread.determinant().max(0.0).sqrt() * per_px2.powi(3);
             // The block of the inverse is the inverse of what one image is spread by where the two others are known.

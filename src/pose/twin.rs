@@ -49,7 +49,8 @@ impl Case<'_> {
         let (matches, k) = (&last.matches, &last.solution.intrinsics);
         let places: Vec<DVec3> = self.request.layout.beads.iter().map(|bead| bead.lps_mm).collect();
         let depth_mm = last.solution.centroid_mm.z;
-        let sigma_mm = |m: &Match| m.sigma_mm.hypot(m.sigma_px * depth_mm / k.fx);
+        let of_place_mm = |m: &Match| self.request.layout.beads[m.bead].most_sigma_mm();
+        let sigma_mm = |m: &Match| of_place_mm(m).hypot(m.sigma_px * depth_mm / k.fx);
         let scale = last.chi2_per_dof.max(1.0);
         let worst_mm = matches.iter().map(sigma_mm).fold(0.0, f64::max);
         let tolerance_mm = (ON_ANOTHER.0 * scale.sqrt() * worst_mm).max(ON_ANOTHER.1);
@@ -106,11 +107,12 @@ impl Case<'_> {
         let own = (last.solution.camera_from_lps, last.solution.intrinsics);
         let (seen, k) = if mirrored { (in_mirror(&own.0), mirrored_k(&own.1, end_px)) } else { own };
         let image_px = |at: DVec2| if mirrored { DVec2::new(end_px - at.x, at.y) } else { at };
-        let renamed = |(m, bead): &(Match, usize)| Match {
-            bead: *bead,
-            lps_mm: self.request.layout.beads[*bead].lps_mm,
-            image_px: image_px(m.image_px),
-            ..*m
+        let renamed = |(m, bead): &(Match, usize)| {
+            let own = &self.request.layout.beads[*bead];
+            let [uu, uv, vv] = m.noise_px2;
+            let noise_px2 = [uu, if mirrored { -uv } else { uv }, vv];
+            let (lps_mm, place_mm2) = (own.lps_mm, own.place_mm2());
+            Match { bead: *bead, lps_mm, place_mm2, image_px: image_px(m.image_px), noise_px2, ..*m }
         };
         let matches: Vec<Match> = names.iter().map(renamed).collect();
         solve(&matches, &(seen * motion.inverse()), &k, &Options::least_squares(Free::Pose))

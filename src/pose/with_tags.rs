@@ -76,6 +76,7 @@ impl Tags<'_> {
             probe: None,
             without_prior: false,
             everywhere: Default::default(),
+            heard: Default::default(),
         }
     }
 
@@ -94,7 +95,9 @@ impl Tags<'_> {
         }
         let near = |start: Prior| {
             let request = Registration { prior: Some(&start), ignore_prior: false, ..*self.request };
-            register_masked(&request, frame, masks)
+            let mut pose = register_masked(&request, frame, masks);
+            pose.prior_from("of the tags");
+            pose
         };
         let mut accepted: Vec<Pose> = found.starts().into_iter().map(near).filter(Pose::is_accepted).collect();
         // Beads at both solutions of a plane tell nothing: they are looked at without the tags.

@@ -1,7 +1,6 @@
 //! Reading logs record by record, tolerant to cuts and to damaged chunks: what can be read is read, what is lost is said.
 
 use std::collections::HashMap;
-use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,6 +12,7 @@ use super::announced::announced_at_the_end;
 use super::channel::Kind;
 use super::resync::{MAX_RECORD_BYTES, next_chunk};
 use super::unpack::{Unpacked, has_checksum, is_head, unpack};
+use crate::regular::{NotRegular, OpenFault, OpenFile, open_regular};
 
 /// Opcode and length in front of every record.
 const RECORD_HEADER_BYTES: u64 = 9;
@@ -131,14 +131,11 @@ impl LogReader {
     /// When the file cannot be opened or does not begin as MCAP files do. A log cut within its first eight bytes is an empty log with a
     /// loss.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
-        let io = |source| RecordError::Io { path: path.to_owned(), source };
-        let file = File::open(path).map_err(io)?;
-        let metadata = file.metadata().map_err(io)?;
-        if metadata.is_dir() {
-            return Err(RecordError::Folder { path: path.to_owned() });
-        }
-        let length = metadata.len();
-        Self::new(path, Box::new(BufReader::with_capacity(1 << 20, file)), length)
+        let OpenFile { file, stamp } = open_regular(path, u64::MAX).map_err(|fault| match fault {
+            OpenFault::NotRegular(NotRegular::Folder) => RecordError::Folder { path: path.to_owned() },
+            other => RecordError::Io { path: path.to_owned(), source: other.into() },
+        })?;
+        Self::new(path, Box::new(BufReader::with_capacity(1 << 20, file)), stamp.bytes)
     }
 
     /// Reads a log held in memory; `path` serves messages only.

@@ -1,12 +1,12 @@
 //! The checksums of a finished log that its chunks do not have: of all its data, and of its summary.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
 use mcap::records::op;
 
 use super::{LogLoss, RecordError};
+use crate::regular;
 
 /// Opcode and length in front of every record.
 const RECORD_HEAD: usize = 9;
@@ -18,7 +18,7 @@ const RECORD_HEAD: usize = 9;
 /// When the file cannot be read.
 pub fn wrong_sums(path: &Path) -> Result<Vec<LogLoss>, RecordError> {
     let io = |source| RecordError::Io { path: path.to_owned(), source };
-    let file = File::open(path).map_err(io)?;
+    let file = regular::open(path).map_err(io)?;
     let length = file.metadata().map_err(io)?.len();
     Ok(of(&mut BufReader::with_capacity(1 << 20, file), length).map_err(io)?.unwrap_or_default())
 }

@@ -15,12 +15,12 @@ use std::path::Path;
 
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::{tags, uids};
-use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
+use dicom_object::InMemDicomObject;
 use glam::DVec3;
 
 use super::{Quantity, RenderError, Rendered};
 use crate::geometry::{AngleConvention, PatientPosition, View};
-use crate::image::dicom::{grey_16, text, uid_of};
+use crate::image::dicom::{file_bytes, grey_16, text, uid_of};
 use crate::image::{sha256_bytes, write_atomically};
 use crate::scene::model::Scene;
 
@@ -133,14 +133,8 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
         text(tags::BURNED_IN_ANNOTATION, VR::CS, "NO"),
         DataElement::new(tags::PIXEL_PADDING_VALUE, VR::US, PrimitiveValue::from(0u16)),
     ];
-    let object = InMemDicomObject::from_element_iter(words.into_iter().chain(grey_16([page.width, page.height], values)));
-    let meta = FileMetaTableBuilder::new()
-        .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
-        .media_storage_sop_class_uid(uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING)
-        .media_storage_sop_instance_uid(instance);
-    let mut bytes = Vec::new();
-    object.with_meta(meta).map_err(|error| error.to_string())?.write_all(&mut bytes).map_err(|error| error.to_string())?;
-    Ok(bytes)
+    let elements = words.into_iter().chain(grey_16([page.width, page.height], values));
+    file_bytes(elements, uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING, &instance)
 }
 
 /// Stored values a unit of an image whose largest value is `largest`.

@@ -65,7 +65,7 @@ impl Renderer {
         check_plan(&plan, scene)?;
         let (prepared, coarse) = stages.measure("prepare", || {
             let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
-            self.volumes.keep(scene);
+            self.volumes.keep(scene, options.beside);
             let prepared = self.volumes.prepare(scene, view, slabs)?;
             prepared.make_slabs(plan.sampling == Sampling::FixedSlabs);
             if plan.step_px <= 1 {

@@ -18,7 +18,7 @@ use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice, Gpu};
 use crate::image::Image;
 use crate::reporter::Reporter;
-use crate::scene::model::{Scene, Voxels};
+use crate::scene::model::{Object, Scene, Voxels};
 use crate::time::StageTimes;
 
 /// What to make of a scene.
@@ -188,7 +188,7 @@ impl Renderer {
         let slabs = executor == Executor::Cpu;
         let asked = options.goal.unwrap_or(Goal::MaxError(DEFAULT_MAX_ERROR));
         let (all_slabs, fixed_step_px) = stages.measure("prepare", || {
-            self.volumes.keep(scene);
+            self.volumes.keep(scene, options.beside);
             let whole = self.volumes.prepare(scene, view, slabs)?;
             let all_slabs = slabs && whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
             let fixed_step_px = if all_slabs && fixed_may_do(asked) { whole.coarsest_rounded() } else { 0 };
@@ -204,6 +204,12 @@ impl Renderer {
         stages.measure("calibrate", || self.planner.calibrate());
         let cache = &mut self.volumes;
         stages.measure("plan", || self.planner.refine(plan, &Task { goal, ..task }, |view| cache.prepare(scene, view, slabs)))
+    }
+
+    /// The objects of `scene` for small pictures about `view`, on the processor: with fewer slices, which are kept for the next.
+    #[must_use]
+    pub fn thinned(&mut self, scene: &Scene, view: &View) -> Vec<Object> {
+        if self.gpu().is_some() { scene.objects.clone() } else { self.volumes.thinned(scene, view) }
     }
 
     /// Does now what the first image of `scene` from `view` would wait for: volumes, meshes, costs of this machine, energies, all with room

@@ -29,6 +29,7 @@ use crate::geometry::View;
 use crate::gpu::cpu_name;
 use crate::image::{cache_file, write_atomically};
 use crate::random::{Purpose, Stream};
+use crate::regular;
 use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
@@ -46,14 +47,14 @@ const AT_LAST: Duration = Duration::from_secs(3600);
 pub fn of_this_machine() -> Costs {
     // Two builds of the program beside each other do not forget what the other one knows.
     let name = if cfg!(debug_assertions) { "costs-debug.json" } else { "costs.json" };
-    kept_in(cache_file(name))
+    kept_in(cache_file(name), measure)
 }
 
-fn kept_in(path: Option<PathBuf>) -> Costs {
+fn kept_in(path: Option<PathBuf>, measure: impl Fn() -> Costs) -> Costs {
     let version = env!("CARGO_PKG_VERSION");
     let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name(), cfg!(debug_assertions));
     let cached =
-        path.as_ref().and_then(|path| std::fs::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
+        path.as_ref().and_then(|path| regular::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
     let cached = cached.filter(|costs| costs.machine == machine && costs.is_sound());
     let age = path.as_ref().and_then(|path| path.metadata().ok()?.modified().ok()?.elapsed().ok());
     let is_recent = |costs: &&Costs| age.is_none_or(|age| age <= AT_LAST.min(AGAIN * (1 << (costs.rounds.clamp(1, 10) - 1))));
@@ -298,7 +299,8 @@ mod tests {
     fn costs_of_a_crowded_hour_do_not_stay() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let path = folder.path().join("costs.json");
-        let measured = kept_in(Some(path.clone()));
+        let now = || Costs { threads: 2, ..Costs::default() };
+        let measured = kept_in(Some(path.clone()), now);
         assert_eq!(measured.rounds, 1);
         let keep = |rounds: u32, age_s: u64| {
             let crowded = Costs { face_ns: 1e6 * measured.face_ns, rounds, ..measured.clone() };
@@ -306,7 +308,7 @@ mod tests {
             serde_json::to_writer(&file, &crowded).expect("written");
             let written = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
             file.set_modified(written - Duration::from_secs(age_s)).expect("a time");
-            (crowded.face_ns, kept_in(Some(path.clone())))
+            (crowded.face_ns, kept_in(Some(path.clone()), now))
         };
         for (rounds, age_s) in [(1, 1), (4, 70), (30, 3000)] {
             let (crowded_ns, taken) = keep(rounds, age_s);

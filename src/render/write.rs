@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::guessed::guessed_share;
 use super::{Quantity, RenderError, Rendered};
-use crate::image::{Image, ImageFileError, write_atomically, write_png_rgb, write_tiff_f32};
+use crate::image::{Image, ImageFileError, Lasting, beside, write_lasting, write_png_rgb, write_tiff_f32_lasting};
 use crate::scene::model::Scene;
 
 /// Writes the pages as 32-bit float TIFF, and beside them what they are and where they come from.
@@ -13,10 +13,10 @@ use crate::scene::model::Scene;
 /// # Errors
 /// When a file cannot be written.
 pub fn write_image(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
-    write_described(path, rendered, description(rendered, scene))
+    write_described(path, rendered, description(rendered, scene), Lasting::AtOnce)
 }
 
-/// The same without anything that differs from run to run: how long it took.
+/// The same without anything that differs from run to run: how long it took. A session writes one for each frame, which waits for no disk.
 ///
 /// # Errors
 /// As [`write_image`].
@@ -26,13 +26,13 @@ pub fn write_image_without_times(path: &Path, rendered: &Rendered, scene: &Scene
         map.remove("stages_ms");
         map.remove("gpu_ms");
     }
-    write_described(path, rendered, json)
+    write_described(path, rendered, json, Lasting::Later)
 }
 
-fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value) -> Result<(), RenderError> {
+fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value, lasting: Lasting) -> Result<(), RenderError> {
     let [_, json_path, mask_path, guessed_path] = written_with(path);
     let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
-    write_tiff_f32(path, &rendered.pages)?;
+    write_tiff_f32_lasting(path, lasting, &rendered.pages)?;
     let white = |flags: &Image<u8>| flags.map(|flag| [if *flag == 1 { 255 } else { 0 }; 3]);
     for (path, flags) in [(mask_path, (invalid > 0).then_some(&rendered.valid)), (guessed_path, rendered.guessed.as_ref())] {
         match flags {
@@ -43,7 +43,7 @@ fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value) ->
         }
     }
     let text = serde_json::to_string_pretty(&json).expect("plain data");
-    write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
+    write_lasting(&json_path, lasting, |file| file.write_all(text.as_bytes()))?;
     Ok(())
 }
 
@@ -55,14 +55,6 @@ fn remove(path: &Path) -> Result<(), ImageFileError> {
 #[must_use]
 pub fn written_with(path: &Path) -> [PathBuf; 4] {
     [path.to_owned(), beside(path, "json"), beside(path, "valid.png"), beside(path, "guessed.png")]
-}
-
-/// `IMAGE.tif` → `IMAGE.tif.suffix`.
-fn beside(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".");
-    name.push(suffix);
-    PathBuf::from(name)
 }
 
 fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {

@@ -80,8 +80,8 @@ pub fn gray(value: f32, window: [f64; 2]) -> Rgb {
     [level; 3]
 }
 
-/// The window from the 0.5th to the 99.5th percentile of the finite pixels of all `images` that `kept` keeps, slightly widened; a window of width 1 where
-/// there is no range.
+/// The window from the 0.5th to the 99.5th percentile of the finite pixels of all `images` that `kept` keeps (of all where it keeps none), slightly
+/// widened; a window of width 1 where there is no range.
 #[must_use]
 pub fn window(images: &[&Image<f32>], kept: Option<&Image<bool>>) -> [f64; 2] {
     let mut values: Vec<f32> = Vec::new();
@@ -91,6 +91,9 @@ pub fn window(images: &[&Image<f32>], kept: Option<&Image<bool>>) -> [f64; 2] {
         values.extend(
             (0..image.pixels.len()).step_by(step).filter(|&at| keeps(at)).map(|at| image.pixels[at]).filter(|v| v.is_finite()),
         );
+    }
+    if values.is_empty() && kept.is_some() {
+        return window(images, None);
     }
     let last = (values.len().max(1) - 1) as f64;
     let mut at = |share: f64| ranked(&mut values, (last * share) as usize).unwrap_or(0.0);

@@ -5,7 +5,8 @@ use std::path::Path;
 use super::html;
 use super::pair::Pair;
 use super::session::SessionReport;
-use crate::image::{Image, ImageFileError, write_atomically};
+use crate::image::{Image, ImageFileError, Lasting, write_lasting};
+use crate::regular;
 
 /// Why a report could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -20,10 +21,10 @@ pub enum ReportError {
 /// not be written; the one does not keep the other from being tried.
 pub fn write_session(folder: &Path, report: &SessionReport) -> Vec<ReportError> {
     let pairs = write_pairs(&folder.join("pairs.json"), &report.pairs);
-    let strip = |path: &str| report.pictures.get(path).cloned().or_else(|| std::fs::read(folder.join(path)).ok());
+    let strip = |path: &str| report.pictures.get(path).cloned().or_else(|| regular::read(&folder.join(path)).ok());
     let text = html::page(report, &strip);
-    let page = write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes())).map_err(ReportError::from);
-    [pairs, page].into_iter().filter_map(Result::err).collect()
+    let page = write_lasting(&folder.join("report.html"), Lasting::Later, |file| file.write_all(text.as_bytes()));
+    [pairs, page.map_err(ReportError::from)].into_iter().filter_map(Result::err).collect()
 }
 
 /// [`super::PairsFile`] as it is written, without a copy of all.
@@ -38,7 +39,7 @@ struct Written<'a> {
 /// When the file cannot be written.
 pub fn write_pairs<'a>(path: &Path, pairs: impl IntoIterator<Item = &'a Pair>) -> Result<(), ReportError> {
     let written = Written { pairs: pairs.into_iter().collect() };
-    write_atomically(path, |out| {
+    write_lasting(path, Lasting::Later, |out| {
         serde_json::to_writer_pretty(&mut *out, &written)?;
         out.write_all(b"\n")
     })?;

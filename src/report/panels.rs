@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use super::canvas::{Align, Canvas, Rgb};
 use super::colour::{self, CAUTION, DIM, EDGE, LINE, TEXT, WELL};
-use crate::image::{Image, round_down};
+use super::shut_off::{calm, dimmed};
+use crate::image::{Image, round_down, zip};
 
 /// Thickness of a legend bar.
 const BAR: i64 = 8;
@@ -142,6 +143,13 @@ fn mean_under(image: &Image<f32>, u: usize, v: usize, scale: f64) -> f32 {
 fn bilinear(image: &Image<f32>, u: usize, v: usize, scale: f64) -> f32 {
     let at = |i: usize, end: usize| ((i as f64 + 0.5) / scale - 0.5).clamp(0.0, end as f64 - 1.0);
     image.bilinear(at(u, image.width), at(v, image.height)).map_or(f32::NAN, |value| value as f32)
+}
+
+/// A frame at panel size, gray between the ends of `window`; dim and calm where it is shut off.
+pub(super) fn frame_in_grays(values: &Image<f32>, shut_off: &Image<bool>, window: [f64; 2], scale: f64) -> Image<Rgb> {
+    let grays = scaled(&calm(values, shut_off, window), scale).map(|value| colour::gray(*value, window));
+    let share = scaled(&shut_off.map(|shut| f32::from(u8::from(*shut))), scale);
+    zip(&grays, &share, |gray, share| dimmed(*gray, *share))
 }
 
 /// Opacity of the edges at panel size: a pixel of the panel is as bright as it is covered.

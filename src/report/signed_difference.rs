@@ -89,7 +89,8 @@ mod tests {
         let usable = simulated.map(|value| *value < 3.5);
         // What is masked is far from all else.
         let acquired = simulated.map(|value| if *value < 3.5 { scale * value + level } else { 90.0 });
-        Pictures { acquired, edges: usable.clone(), simulated, usable, unit }
+        let nowhere = usable.map(|_| false);
+        Pictures { acquired, edges: usable.clone(), simulated, usable, shut_off: nowhere, unit }
     }
 
     #[test]

@@ -7,12 +7,13 @@ use super::drawn;
 use super::figures::STRETCH;
 use super::marks::PairMarks;
 use super::pair::Standing;
-use super::panels::{Panels, edge_opacity, scaled};
+use super::panels::{Panels, edge_opacity, frame_in_grays, scaled};
 use super::signed_difference::{NOT_COMPARABLE, SignedDifference};
 use super::unmatched::{self, Unmatched};
 use crate::acquire::Frame;
 use crate::compare::Pictures;
 use crate::image::Image;
+use crate::mask::Masks;
 
 /// What a strip shows.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +22,8 @@ pub struct StripInput<'a> {
     pub acquired: &'a Frame,
     /// The compared images; `None` without a matched DRR.
     pub pictures: Option<&'a Pictures>,
+    /// Which pixels of a frame that stands alone mean anything; `None` where nobody looked.
+    pub masks: Option<&'a Masks>,
     /// Why there is no DRR, or no comparison.
     pub without: Option<&'a str>,
     /// What is marked in the frame; `None` where nobody looked.
@@ -75,8 +78,10 @@ pub fn strip(input: &StripInput) -> Image<Rgb> {
             let mm_per_px = input.mm_per_px.map(|mm| mm / scale);
             let mut panel = Panels { canvas: &mut canvas, top: HEADER + TITLE, width, height, mm_per_px };
             let (from, wide) = place(2, 2, panel_width);
-            let shown =
-                Unmatched { frame: input.acquired, marks: input.marks, standing: input.standing, reasons: reasons(input) };
+            let StripInput { acquired: frame, marks, standing, .. } = *input;
+            let unmasked = Masks::default();
+            let masks = input.masks.unwrap_or(&unmasked);
+            let shown = Unmatched { frame, masks, marks, standing, reasons: reasons(input) };
             unmatched::show(&mut panel, &shown, left, from..from + wide, scale);
             canvas.image
         }
@@ -150,8 +155,8 @@ fn compared(panel: &mut Panels, input: &StripInput, pictures: &Pictures, scale: 
     let [window, of_drr] = signed.windows(pictures);
     let panel_width = panel.width;
     let left = |index: i64| place(index, 1, panel_width).0;
-    let acquired = scaled(&pictures.acquired, scale);
-    panel.picture(left(0), "acquired", &acquired.map(|v| colour::gray(*v, window)));
+    let acquired = frame_in_grays(&pictures.acquired, &pictures.shut_off, window, scale);
+    panel.picture(left(0), "acquired", &acquired);
     panel.gray_scale(left(0), window, pictures.unit);
     panel.picture(left(1), "matched DRR", &scaled(&pictures.simulated, scale).map(|v| colour::gray(*v, of_drr)));
     panel.gray_scale(left(1), of_drr, pictures.unit);
@@ -165,7 +170,7 @@ fn compared(panel: &mut Panels, input: &StripInput, pictures: &Pictures, scale: 
         panel.empty(left(2), "acquired − DRR", NOT_COMPARABLE);
     }
 
-    panel.picture(left(3), "DRR edges over acquired", &overlaid(&acquired, window, input, pictures, scale));
+    panel.picture(left(3), "DRR edges over acquired", &overlaid(&acquired, input, pictures, scale));
     let enlarged = input.marks.is_some_and(|marks| !(marks.beads.is_empty() && marks.landmarks.is_empty()));
     let words = if enlarged { format!("edges of the DRR; residuals {STRETCH:.0}×") } else { "edges of the DRR".to_owned() };
     panel.legend(left(3), &words);
@@ -174,11 +179,8 @@ fn compared(panel: &mut Panels, input: &StripInput, pictures: &Pictures, scale: 
 }
 
 /// The frame, a little darker, with the DRR's edges and with its marks.
-fn overlaid(acquired: &Image<f32>, window: [f64; 2], input: &StripInput, pictures: &Pictures, scale: f64) -> Image<Rgb> {
-    let mut canvas = Canvas::over(acquired.map(|v| {
-        let [level, ..] = colour::gray(*v, window);
-        [(f32::from(level) * 0.82) as u8; 3]
-    }));
+fn overlaid(acquired: &Image<Rgb>, input: &StripInput, pictures: &Pictures, scale: f64) -> Image<Rgb> {
+    let mut canvas = Canvas::over(acquired.map(|shown| shown.map(|level| (f32::from(level) * 0.82) as u8)));
     let edges = edge_opacity(&pictures.edges, scale);
     for (at, opacity) in edges.pixels.iter().enumerate().filter(|(_, opacity)| **opacity > 0.02) {
         canvas.blend((at % edges.width) as i64, (at / edges.width) as i64, EDGE, 0.9 * opacity);

@@ -2,18 +2,20 @@
 
 use std::ops::Range;
 
-use super::alone::alone;
+use super::alone::Alone;
 use super::canvas::{Align, Canvas};
-use super::colour::{self, DIM, LINE, TEXT};
+use super::colour::{DIM, LINE, TEXT};
 use super::drawn;
 use super::marks::{PairMarks, ShadowMark};
 use super::pair::Standing;
-use super::panels::{Panels, scaled};
+use super::panels::{Panels, frame_in_grays};
 use crate::acquire::Frame;
+use crate::mask::Masks;
 
 /// See the module.
 pub(super) struct Unmatched<'a> {
     pub frame: &'a Frame,
+    pub masks: &'a Masks,
     pub marks: Option<&'a PairMarks>,
     pub standing: Standing,
     /// Why there is no DRR, a sentence each.
@@ -31,9 +33,8 @@ const LINE_HIGH: i64 = 22;
 
 /// Draws the frame, enlarged by `scale`, into the panel that begins at `left`, and the words into the columns of pixels `beside` it.
 pub(super) fn show(panel: &mut Panels, shown: &Unmatched, left: i64, beside: Range<i64>, scale: f64) {
-    let (values, unit) = alone(shown.frame);
-    let window = colour::window(&[&values], None);
-    let mut picture = Canvas::over(scaled(&values, scale).map(|value| colour::gray(*value, window)));
+    let Alone { values, unit, shut_off, window, .. } = Alone::of(shown.frame, shown.masks);
+    let mut picture = Canvas::over(frame_in_grays(&values, &shut_off, window, scale));
     let shadows = shown.marks.map(|marks| marks.shadows.as_slice()).unwrap_or_default();
     if let Some(marks) = shown.marks {
         drawn::draw(&mut picture, &marks.figures(), scale);

@@ -25,6 +25,7 @@ mod network_bone;
 mod objects;
 mod optics_file;
 mod plain;
+mod thin;
 mod view;
 mod volumes;
 
@@ -44,4 +45,5 @@ pub use mesh::{mesh_unit_doubt, read_closed_triangles};
 pub use model::{InputFile, Robot, Scene};
 pub use volumes::{
     PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,
+    write_nifti,
 };

@@ -13,6 +13,7 @@ use crate::image::{cache_file, hex, sha256_bytes, write_atomically};
 use crate::infer::materials::{HuVolume, LoadedMaterials};
 use crate::infer::{InferError, NetworkDevice};
 use crate::memory;
+use crate::regular;
 use crate::reporter::{Progress, Reporter};
 
 /// Changes when the same weights would say something else.
@@ -139,7 +140,7 @@ fn forget(path: &Path) {
 
 /// What [`write`] left there of `count` voxels; `None` where it is not that.
 fn read(path: &Path, count: usize) -> Option<Vec<bool>> {
-    let file = std::fs::File::open(path).ok()?;
+    let file = regular::open(path).ok()?;
     let (hash_bytes, most) = (32, count.div_ceil(8));
     let mut bytes = Vec::new();
     ZlibDecoder::new(file).take((hash_bytes + most + 1) as u64).read_to_end(&mut bytes).ok()?;

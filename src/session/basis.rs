@@ -3,21 +3,22 @@
 use std::sync::Arc;
 
 use super::posing::{PoseJob, Posed, Registered, Used};
+use super::shown::Shown;
 use super::tie::Disagreement;
-use crate::pose::{HandMark, Looked, Pose, Registration, register_edited};
+use crate::pose::{HandMark, Pose, Registration, register_edited};
 
 /// See the module. It is fixed when the frame is first posed: later frames change nothing in it.
 #[derive(Clone, Debug)]
 pub(super) struct Basis {
     job: PoseJob,
-    looked: Option<Arc<Looked>>,
+    shown: Option<Arc<Shown>>,
 }
 
 impl Basis {
     /// Of what was registered.
     pub(super) fn of(registered: &Registered) -> Self {
-        let (job, looked) = registered.rests_on();
-        Self { job: job.clone(), looked: looked.cloned() }
+        let (job, shown) = registered.rests_on();
+        Self { job: job.clone(), shown: shown.cloned() }
     }
 
     /// Whether a pose may rest on a bead of this name.
@@ -29,7 +30,7 @@ impl Basis {
     /// The pose with what a hand says in `marks`, of a frame that gave `automatic` by itself.
     pub(super) fn edited(&self, marks: &[HandMark], automatic: &Posed) -> Pose {
         self.job.asking(|registration| {
-            let register = |request: &Registration| self.job.posed(request, &automatic.masks, self.looked.as_deref());
+            let register = |request: &Registration| self.job.posed(request, &automatic.masks, self.shown.as_deref());
             register_edited(registration, marks, &automatic.pose, &register)
         })
     }

@@ -10,9 +10,9 @@ use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
 use super::pair_view::PairView;
 use super::posing::Posed;
-use crate::beads::{Bead, BeadLayout};
+use crate::beads::BeadLayout;
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
-use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
+use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
@@ -71,13 +71,12 @@ impl Bench {
         let drr_sha256 = Some(sha256_bytes(&bytes));
 
         let watch = Stopwatch::start();
-        let beads = self.layout.as_ref().map(|layout| {
-            let radius_mm = |index: usize| layout.radius_mm(index, self.setup.session.bead_radius_mm);
-            let place = |(index, bead): (usize, &Bead)| (posed.pose.place_of(&bead.body, bead.lps_mm), radius_mm(index));
-            bead_marks(layout.beads.iter().enumerate().map(place), &view, Some(&scene))
+        let beads = bead_marks(&posed.pose, &view, Some(&scene), |name| {
+            let listed = self.layout.iter().flat_map(|layout| layout.beads.iter().chain(&layout.checks));
+            let radius_mm = listed.filter(|bead| bead.name == name).find_map(|bead| bead.radius_mm);
+            radius_mm.or(self.setup.session.bead_radius_mm)
         });
-        let beads = beads.unwrap_or_default();
-        let tool = tool_mask(&scene, &view);
+        let tool = tool_mask(&scene);
         let mut input = CompareInput::new(&posed.frame, &rendered.pages[0]);
         input.valid = Some(&rendered.valid);
         input.guessed = rendered.guessed.as_ref();
@@ -139,7 +138,7 @@ impl Bench {
         };
         pair.innovation = innovation(&facts);
         let findings = check_exposure(&facts);
-        if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
+        if let (Some(words), Some(_), Some(_)) = (pair.robot_words(), &self.setup.robot, &posed.view) {
             self.reporter.warn("robot not told", format!("{}: {words}", posed.label()));
         }
         let drawn = posed.robot.as_ref().filter(|_| self.scene.robot.is_some());
@@ -211,23 +210,18 @@ impl Bench {
         }
     }
 
-    /// The scene at the exposure: view, bodies, robot shape. A body that the scene does not know stays as it was scanned, and `flags` say so.
+    /// The scene at the exposure: as the pose shows it, the robot bent as telemetry says. A body that the scene does not know stays as it was
+    /// scanned, and `flags` say so.
     fn scene_at(&self, posed: &Posed, view: View, flags: &mut Vec<String>) -> Result<Scene, String> {
-        let mut places = posed.pose.places();
-        let mut moved = self.scene.with_bodies(&places);
-        if let Err(unknown) = &moved {
+        let scene = posed_scene(&self.scene, &posed.pose, view).or_else(|unknown| {
             flags.push(format!("{unknown}; the DRR shows it as scanned"));
             self.reporter.warn("unknown body", format!("{}: {unknown}", posed.label()));
-            places.retain(|(name, _)| self.scene.body_names().contains(name));
-            moved = self.scene.with_bodies(&places);
-        }
-        let mut scene = moved.map_err(|error| error.to_string())?.with_view(view);
+            let mut pose = posed.pose.clone();
+            pose.bodies.retain(|body| self.scene.body_names().contains(&body.name.as_str()));
+            posed_scene(&self.scene, &pose, view)
+        });
+        let mut scene = scene.map_err(|error| error.to_string())?;
         scene.detector.panel.intensifier = posed.intensifier.as_deref().cloned();
-        // Pixels that the console binned or enlarged are not the panel's; the panel stays where it is.
-        let panel_px_per_px = posed.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
-        if panel_px_per_px > 0.0 {
-            scene.detector.pitch_mm *= panel_px_per_px;
-        }
         if let Some(robot) = posed.robot.as_ref().filter(|_| scene.robot.is_some()) {
             scene = scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string())?;
             if let Some(bent) = scene.robot.as_ref().filter(|robot| robot.clamped > 0) {
@@ -313,6 +307,8 @@ impl Bench {
         if pair.pose_source != PoseSource::None {
             self.reporter.warn("no DRR", format!("{}: {reason}", posed.label()));
         }
+        // What header and telemetry contradict each other in may well be why there is no pose.
+        self.cross_check(&posed, &mut pair);
         let strip = Arc::new(draw(&posed, &pair, None, None, Some(reason)));
         Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete: true }
     }

@@ -49,6 +49,7 @@ pub(super) fn draw(
     report::strip(&StripInput {
         acquired: &posed.frame,
         pictures: compared.map(|compared| &*compared.pictures),
+        masks: Some(&posed.masks),
         without,
         marks: Some(&marks_of(posed, scene)),
         standing,

@@ -6,10 +6,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use super::SessionError;
+use super::busy::{Busy, Task};
 use super::edit::EditRequest;
 use super::editing::EditJob;
-use super::event::Event;
+use super::event::{Event, Source};
 use super::log::SessionLog;
+use super::sources::Ending;
+use crate::reporter::Reporter;
 
 /// See the module.
 pub(super) struct Editor {
@@ -26,13 +29,22 @@ impl Editor {
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub(super) fn start(requests: Receiver<EditRequest>, log: Arc<SessionLog>) -> Result<Self, SessionError> {
+    pub(super) fn start(
+        requests: Receiver<EditRequest>,
+        log: Arc<SessionLog>,
+        busy: &Busy,
+        reporter: &Reporter,
+    ) -> Result<Self, SessionError> {
         let (jobs, inbox) = channel::<EditJob>();
+        let busy = busy.clone();
+        let ending = Ending::new(Source::Editor, &log, reporter);
         // Somebody waits for it: it does not stand back.
         std::thread::Builder::new()
             .name("editor".to_owned())
             .spawn(move || {
+                let _told = ending;
                 for job in inbox {
+                    let _at_work = busy.begin(Task::Registering(job.number()));
                     let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
                     let posed = attempt.unwrap_or_else(|_| {
                         job.failed("posing it with its edits failed (a fault of this program); the log has both")
@@ -63,6 +75,11 @@ impl Editor {
     /// An edit has come to its pose, or to nothing.
     pub(super) fn done(&mut self) {
         self.open = self.open.saturating_sub(1);
+    }
+
+    /// The thread died: nothing comes of what it had.
+    pub(super) fn give_up(&mut self) {
+        self.open = 0;
     }
 
     /// Whether every edit that was logged has come to its end.

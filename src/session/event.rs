@@ -4,12 +4,15 @@ use super::input::Input;
 use super::posing::{Posed, Registered};
 use crate::telemetry::DeviceKind;
 
-/// Which source has ended.
+/// Which thread has ended, of those that hand things to the session's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     Lines,
     Frames,
+    Registrar,
+    Editor,
 }
+
 /// See the module.
 pub(super) enum Event {
     Input(Input),

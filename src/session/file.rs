@@ -418,6 +418,16 @@ impl Setup {
         Ok(())
     }
 
+    /// The same with frames from this folder alone: nothing listens to others, and no video is grabbed.
+    #[must_use]
+    pub(super) fn with_frames_in(&self, folder: &Path) -> Self {
+        let mut own = self.clone();
+        let frames = &mut own.session.frames;
+        frames.folder = folder.to_owned();
+        (frames.dicom, frames.video, own.session.igtl) = (None, None, None);
+        own
+    }
+
     /// The port of `device` as the session names it, if it has one.
     fn port(&self, device: DeviceKind) -> Option<&Path> {
         match device {

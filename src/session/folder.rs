@@ -7,13 +7,14 @@ use std::sync::Arc;
 use super::SessionError;
 use super::developed::Developed;
 use super::engine::Engine;
+use super::fault;
 use super::inputs::InputNames;
 use super::left_out::LeftOut;
 use super::losses::none_accepted;
 use super::tracks::Tracks;
 use super::unwritten::Unwritten;
 use super::workshop::Workshop;
-use crate::image::{Image, check_writable, read_png_rgb, write_atomically, write_png_rgb};
+use crate::image::{Image, Lasting, check_writable, read_png_rgb, write_lasting, write_png_rgb};
 use crate::render::write_image_without_times;
 use crate::report::{Pair, Provenance, SessionReport, restated, write_pairs, write_session};
 use crate::reporter::Reporter;
@@ -236,6 +237,7 @@ impl Collector {
 
     /// Writes a strip; that of a picture which was not finished says so.
     fn write_strip(&mut self, number: u32, strip: &Image<[u8; 3]>) -> Option<String> {
+        fault::hangs("strip");
         let name = strip_name(number);
         let path = self.path.join(&name);
         let taken_back = self.rows.get(&number).filter(|_| self.replaced.contains_key(&number));
@@ -287,7 +289,7 @@ impl Collector {
         let frames: Vec<_> =
             self.timings.iter().map(|(number, stages)| serde_json::json!({"number": number, "stages_ms": stages})).collect();
         let text = serde_json::json!({ "frames": frames }).to_string();
-        write_atomically(&self.path.join("timings.json"), |file| file.write_all(text.as_bytes()))
+        write_lasting(&self.path.join("timings.json"), Lasting::Later, |file| file.write_all(text.as_bytes()))
     }
 
     /// Writes the report; what could not be written at all is a loss. `again`: how it is had all the same.

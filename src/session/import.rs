@@ -7,6 +7,7 @@ use super::file::Setup;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{CarmCalibration, ConsoleGeometry, PanelWindow};
 use crate::pose::whole_binning;
+use crate::telemetry::CarmSample;
 
 /// What a session knows about its console and panel.
 #[derive(Clone, Debug)]
@@ -43,9 +44,9 @@ impl Import {
         Self { carm: setup.carm.clone(), console: setup.session.console.clone(), detector: setup.detector.clone() }
     }
 
-    /// Imports one frame.
+    /// Imports one frame; `told` is what telemetry says of its exposure, where it is bound to one.
     #[must_use]
-    pub fn frame(&self, read: &Arc<Frame>) -> Imported {
+    pub fn frame(&self, read: &Arc<Frame>, told: Option<&CarmSample>) -> Imported {
         let mut warnings = Vec::new();
         self.question_tags(read, &mut warnings);
         let stored_px = read.size_px.map(|side| side as u32);
@@ -56,8 +57,12 @@ impl Import {
         }
         if let Some(detector) = &self.detector {
             let window = console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(stored_px));
-            match detector.correct(&frame, window) {
-                Ok(corrected) => frame = Arc::new(corrected),
+            match detector.correct_told(&frame, window, told) {
+                Ok(corrected) => {
+                    let doubt = corrected.correction.as_ref().and_then(|correction| correction.flood_doubt.as_ref());
+                    warnings.extend(doubt.map(|doubt| ("flood of another filter", format!("{}: {doubt}", read.name))));
+                    frame = Arc::new(corrected);
+                }
                 Err(reason) => warnings.push(("detector calibration", format!("{}: {reason}", read.name))),
             }
         }
@@ -124,7 +129,7 @@ mod tests {
     fn imported([columns, rows]: [usize; 2]) -> Imported {
         let import = Import { carm: Some(carm()), console: None, detector: None };
         let frame = Frame::from_pixels("f", Image::filled(columns, rows, 1.0f32), Domain::Linear).expect("a frame");
-        import.frame(&Arc::new(frame))
+        import.frame(&Arc::new(frame), None)
     }
 
     #[test]
@@ -139,12 +144,46 @@ mod tests {
             let fitted = binned.carm.expect("it fits");
             assert_eq!([fitted.columns_px as usize, fitted.rows_px as usize], [columns, rows]);
             assert!((fitted.pitch_mm - factor * carm().pitch_mm).abs() < 1e-12, "{}", fitted.pitch_mm);
-            let step = binned.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
+            let stored = binned.frame.correction.as_ref().and_then(|correction| correction.stored.as_ref()).expect("it says so");
+            let step = stored.console.window(stored.size_px).step;
             assert!((step - factor).abs() < 1e-12, "{step}");
         }
         let cropped = imported([600, 470]);
         assert!(cropped.carm.is_none(), "nobody knows its K");
         let doubt = cropped.doubt.unwrap_or_default();
         assert!(doubt.contains("[600, 470]") && doubt.contains("[620, 480]"), "{doubt}");
+    }
+
+    fn told(copper_mm: f64) -> CarmSample {
+        CarmSample { tube_kvp: 90.0, filter_mm_cu: copper_mm, ..CarmSample::UNTOLD }
+    }
+
+    /// The air map was the first of that voltage, whatever was in the beam, and of a file without a voltage the first of all.
+    #[test]
+    fn the_flood_of_a_file_that_says_nothing_is_that_of_the_beam_that_telemetry_tells() {
+        let beam = |kvp: f64, filter: &str, gain: f64| crate::acquire::AirBeam {
+            tube_kvp: Some(kvp),
+            added_filter: filter.parse().ok(),
+            gain_value_per_quantum: Some(gain),
+            ..Default::default()
+        };
+        let mut record: crate::acquire::DetectorRecord =
+            serde_json::from_value(serde_json::json!({"origin": "test", "columns_px": 620, "rows_px": 480})).expect("a record");
+        record.beams = vec![beam(70.0, "none", 1.0), beam(90.0, "none", 2.0), beam(90.0, "copper=0.2", 3.0)];
+        let detector = Some(Box::new(DetectorCalibration { record, maps: Default::default() }));
+        let import = Import { carm: None, console: None, detector };
+        let frame = Frame::from_pixels("f", Image::filled(620, 480, 1.0f32), Domain::Linear).expect("a frame");
+        let frame = Arc::new(frame);
+        let by = |told: Option<CarmSample>| {
+            let Imported { frame, warnings, .. } = import.frame(&frame, told.as_ref());
+            let gain = frame.correction.as_ref().and_then(|correction| correction.gain_value_per_quantum);
+            (gain, warnings.into_iter().map(|(kind, words)| format!("{kind}: {words}")).collect::<String>())
+        };
+        assert_eq!(by(Some(told(0.2))), (Some(3.0), String::new()));
+        assert_eq!(by(Some(told(0.0))), (Some(2.0), String::new()));
+        for (told, word) in [(None, "does not say which was in"), (Some(told(0.6)), "taken with 0.60 mm of copper")] {
+            let (_, words) = by(told);
+            assert!(words.starts_with("flood of another filter: f: ") && words.contains(word), "{words}");
+        }
     }
 }

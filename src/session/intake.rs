@@ -179,6 +179,7 @@ impl FrameIntake {
     fn look(&mut self) {
         let host_us = host_now_us();
         let at_work = self.busy.begin(Task::Folder);
+        fault::hangs("folder");
         let sightings = self.source.look(host_us);
         drop(at_work);
         let mut ready: Vec<Arrival> = sightings.into_iter().filter_map(|sighting| self.sighted(sighting)).collect();

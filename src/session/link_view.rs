@@ -184,20 +184,7 @@ mod tests {
         let mut readings = LinkReadings::default();
         let sample = |orbital_deg: f64| {
             let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), ..CarmJoints::ZERO };
-            Sample::Carm(CarmSample {
-                device_us: 0,
-                sequence: 0,
-                joints,
-                tube_kvp: 90.0,
-                tube_ma: 3.0,
-                pulse_width_ms: 8.0,
-                filter_mm_al: 4.3,
-                filter_mm_cu: 0.0,
-                field_mm: [f64::NAN; 4],
-                xray_on: false,
-                exposure_counter: None,
-                status: 0,
-            })
+            Sample::Carm(CarmSample { joints, ..CarmSample::UNTOLD })
         };
         let mut looks = |from_ms: i64, deg_per_s: f64| {
             let at = |ms: i64| (1000 * ms, sample(10.0 + 1e-3 * ms as f64 * deg_per_s + 0.05 * (ms as f64).sin()));

@@ -225,7 +225,7 @@ impl SessionLog {
     /// The acquired frame for the eye, at the time of its exposure.
     pub(super) fn shown(&self, posed: &Posed) {
         let pixels = &posed.frame.pixels;
-        let window = report::window(&[pixels], None);
+        let window = report::window(&[pixels], Some(&posed.masks.usable(pixels.width, pixels.height, &[])));
         self.check(self.recorder.shown(&pixels.map(|value| report::gray(*value, window)[0]), posed.time_us));
     }
 

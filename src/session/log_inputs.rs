@@ -25,42 +25,45 @@ impl LogInputs {
         struct Numbered {
             number: u32,
         }
-        let Self { assembler, numbered, tolerance } = self;
         let device = match &*entry.topic {
             topic::CARM_RAW => DeviceKind::Carm,
             topic::ROBOT_RAW => DeviceKind::Robot,
             topic::FRAME_TAGS | topic::FRAME_PIXELS => {
-                let frame = tolerance.take(assembler.push(entry))??;
-                // Logs without numbers count by order.
-                *numbered = if frame.number > 0 { frame.number } else { *numbered + 1 };
-                let frame = Arc::new(Frame { number: *numbered, ..frame });
-                return Some(Input::Frame { frame, host_us: entry.host_us });
+                return self.frame(entry).map(|frame| Input::Frame { frame, host_us: entry.host_us });
             }
             SEEN_TOPIC => {
-                let SeenRecord { frame, picture } = tolerance.take(entry.json())?;
-                *numbered = frame.number.max(*numbered);
+                let SeenRecord { frame, picture } = self.tolerance.take(entry.json())?;
+                self.numbered = frame.number.max(self.numbered);
                 return Some(Input::Seen { frame: Box::new(frame), picture, host_us: entry.host_us });
             }
             CLOCK_TOPIC => return Some(Input::Tick { host_us: entry.host_us }),
             ORDER_TOPIC => {
-                let Numbered { number } = tolerance.take(entry.json())?;
+                let Numbered { number } = self.tolerance.take(entry.json())?;
                 return Some(Input::Develop { number });
             }
             EDIT_TOPIC => {
-                let EditRecord { number, host_us, edit } = tolerance.take(entry.json())?;
+                let EditRecord { number, host_us, edit } = self.tolerance.take(entry.json())?;
                 return Some(Input::Edit { number, edit, host_us });
             }
             NOTE_TOPIC => {
-                let NoteRecord { number, host_us, words } = tolerance.take(entry.json())?;
+                let NoteRecord { number, host_us, words } = self.tolerance.take(entry.json())?;
                 return Some(Input::Note { number, words, host_us });
             }
             DISAGREES_TOPIC => {
-                let Numbered { number } = tolerance.take(entry.json())?;
+                let Numbered { number } = self.tolerance.take(entry.json())?;
                 return Some(Input::ImageDisagrees { number });
             }
             _ => return None,
         };
-        let raw = tolerance.take(entry.raw_bytes())??;
+        let raw = self.tolerance.take(entry.raw_bytes())??;
         Some(Input::Bytes { device, epoch: raw.epoch, host_us: entry.host_us, bytes: raw.bytes.to_vec() })
+    }
+
+    /// The frame that is whole with this message, if one is, with its number.
+    pub(super) fn frame(&mut self, entry: &LogEntry) -> Option<Arc<Frame>> {
+        let frame = self.tolerance.take(self.assembler.push(entry))??;
+        // Logs without numbers count by order.
+        self.numbered = if frame.number > 0 { frame.number } else { self.numbered + 1 };
+        Some(Arc::new(Frame { number: self.numbered, ..frame }))
     }
 }

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use super::SessionError;
 use super::import::Import;
+use super::log_inputs::LogInputs;
 use super::recorded::Recorded;
 use crate::acquire::Frame;
-use crate::record::{FrameAssembler, LogReader, Tolerance};
+use crate::record::LogReader;
 
 /// Gives the frames of `log` whose number is `wanted` to `take`, one after the other, and returns what of the log could not be read.
 ///
@@ -20,16 +21,11 @@ pub fn logged_frames(
 ) -> Result<Vec<String>, SessionError> {
     let no_session = || SessionError::NoSession { path: log.display().to_string(), detail: "no session setup".to_owned() };
     let import = Import::of(&Recorded::read(log)?.setup.ok_or_else(no_session)?);
-    let mut assembler = FrameAssembler::default();
-    let mut tolerance = Tolerance::default();
-    let mut numbered = 0;
+    let mut inputs = LogInputs::default();
     for entry in LogReader::open(log)? {
-        let Some(Some(frame)) = tolerance.take(assembler.push(&entry)) else { continue };
-        // Logs without numbers count by order.
-        numbered = if frame.number > 0 { frame.number } else { numbered + 1 };
-        if wanted(numbered) {
-            take(numbered, import.frame(&Arc::new(frame)).frame);
+        if let Some(frame) = inputs.frame(&entry).filter(|frame| wanted(frame.number)) {
+            take(frame.number, import.frame(&frame, None).frame);
         }
     }
-    Ok(tolerance.losses())
+    Ok(inputs.tolerance.losses())
 }

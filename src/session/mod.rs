@@ -6,7 +6,8 @@
 //! log ────────── replay ──────────────── engine ─ workshop ─ folder
 //!                                       └─────────┴─ broadcast: OpenIGTLink
 //! ```
-//! [`logbook`] is what is done with a log afterwards: told, checked, cut, joined, tabulated, redacted.
+//! Before a session, [`newest`] and [`rehearsal`] send what is there, and what is made up, the same way. [`logbook`] is what is done with a
+//! log afterwards: told, checked, cut, joined, tabulated, redacted.
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
 pub mod attach;
@@ -23,6 +24,8 @@ mod input;
 pub mod inputs;
 pub mod live;
 pub mod logbook;
+pub mod newest;
+pub mod rehearsal;
 pub mod replay;
 pub mod servers;
 mod replay_board;
@@ -54,6 +57,7 @@ mod log;
 mod log_inputs;
 mod logged_frames;
 mod losses;
+mod newest_files;
 mod onlooker;
 mod pace;
 mod pair_marks;
@@ -70,6 +74,7 @@ mod registrar;
 mod remedy;
 mod robot_state;
 mod scribe;
+mod shown;
 mod sources;
 mod standstill;
 mod stop;
@@ -158,8 +163,14 @@ pub enum SessionError {
         source: std::io::Error,
     },
     /// Ended before anything was recorded.
-    #[error("ended before the session began: the scene was still being loaded, and nothing was recorded")]
+    #[error("ended before the session began: folder and scene were still being opened, and nothing was recorded")]
     NotBegun,
+    /// What is opened before a session died of a fault of this program.
+    #[error("opening the {what} failed (a fault of this program); the session did not begin, and nothing was recorded")]
+    OpeningDied {
+        /// The frame folder, or the scene.
+        what: &'static str,
+    },
     /// A thread died.
     #[error("the rendering thread ended unexpectedly; the log up to now is complete")]
     WorkshopDied,

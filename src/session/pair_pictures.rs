@@ -6,7 +6,7 @@ use crate::acquire::Frame;
 use crate::compare::Pictures;
 use crate::image::Image;
 use crate::mask::Masks;
-use crate::report::{self, SignedDifference};
+use crate::report::{Alone, SignedDifference};
 
 /// Widest small picture.
 pub(super) const THUMBNAIL_PX: usize = 155;
@@ -30,7 +30,7 @@ pub struct PairPictures {
 #[derive(Clone, Debug)]
 enum Source {
     Compared(Arc<Pictures>),
-    Alone { shown: Image<f32>, usable: Image<bool> },
+    Alone { shown: Image<f32>, usable: Image<bool>, shut_off: Image<bool> },
 }
 
 impl PairPictures {
@@ -46,11 +46,10 @@ impl PairPictures {
     /// A frame that has no partner.
     #[must_use]
     pub fn alone(frame: &Frame, masks: &Masks) -> Self {
-        let (shown, unit) = report::alone(frame);
-        let usable = masks.usable(shown.width, shown.height, &[]);
-        let window = report::window(&[&shown], Some(&usable));
+        let Alone { values: shown, unit, usable, shut_off, window } = Alone::of(frame, masks);
         let size_px = [shown.width, shown.height];
-        Self { size_px, window, window_of_drr: window, difference: None, unit, source: Source::Alone { shown, usable } }
+        let source = Source::Alone { shown, usable, shut_off };
+        Self { size_px, window, window_of_drr: window, difference: None, unit, source }
     }
 
     /// Gray values of the DRR from black to white where the frame's are `window`: the same, moved and widened as they are by themselves.
@@ -96,6 +95,15 @@ impl PairPictures {
         }
     }
 
+    /// True behind the collimator: the frame shows nothing there.
+    #[must_use]
+    pub fn shut_off(&self) -> &Image<bool> {
+        match &self.source {
+            Source::Compared(pictures) => &pictures.shut_off,
+            Source::Alone { shut_off, .. } => shut_off,
+        }
+    }
+
     /// Whether only small pictures are left.
     #[must_use]
     pub fn is_small(&self) -> bool {
@@ -109,10 +117,13 @@ impl PairPictures {
                 acquired: small(&pictures.acquired),
                 simulated: small(&pictures.simulated),
                 usable: small(&pictures.usable),
+                shut_off: small(&pictures.shut_off),
                 edges: small(&pictures.edges),
                 unit: pictures.unit,
             })),
-            Source::Alone { shown, usable } => Source::Alone { shown: small(shown), usable: small(usable) },
+            Source::Alone { shown, usable, shut_off } => {
+                Source::Alone { shown: small(shown), usable: small(usable), shut_off: small(shut_off) }
+            }
         };
         Self { source, ..self.clone() }
     }

@@ -10,6 +10,7 @@ use super::SessionError;
 use super::file::Setup;
 use super::inputs::{InputNames, LoggedInput};
 use crate::image::{cache_file, sha256_file, write_atomically};
+use crate::regular;
 use crate::scene::VolumeSource;
 
 /// Files remembered: the latest.
@@ -32,7 +33,7 @@ struct KnownFile {
 }
 
 fn known() -> Known {
-    let text = cache_file("places.json").and_then(|path| std::fs::read(path).ok());
+    let text = cache_file("places.json").and_then(|path| regular::read(&path).ok());
     text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
 }
 

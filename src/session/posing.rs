@@ -7,15 +7,16 @@ use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
 use super::robot_state::{BoundRobot, MAX_GAP_US, RobotState};
+use super::shown::Shown;
 use super::tie::Disagreement;
 use super::told_field::told_field;
 use crate::acquire::Frame;
-use crate::beads::tags::{TagLayout, find_tags};
+use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::image::Image;
 use crate::mask::{self, Masks};
-use crate::pose::{self, Looked, Pose, Prior, Refusal, Registration};
+use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{CarmSample, DeviceKind};
@@ -143,6 +144,12 @@ impl Bound {
         &self.frame
     }
 
+    /// The C-arm's sample nearest the middle of its exposure.
+    #[must_use]
+    pub fn beam(&self) -> Option<&CarmSample> {
+        self.beam.as_deref()
+    }
+
     /// Gives the frame other pixels and those that it had back; whoever else holds it keeps them too.
     pub(super) fn replace_pixels(&mut self, pixels: Image<f32>) -> Image<f32> {
         std::mem::replace(&mut Arc::make_mut(&mut self.frame).pixels, pixels)
@@ -258,15 +265,14 @@ impl PoseJob {
     }
 
     fn register(self, masks: Masks, watch: &Stopwatch) -> Registered {
-        let looks = self.known.tags.is_none() && self.known.layout.is_some();
-        let (mut pose, looked) = self.asking(|registration| {
-            let looked = looks.then(|| Arc::new(pose::look(registration, &self.bound.frame, &masks)));
-            (self.posed(registration, &masks, looked.as_deref()), looked)
+        let (mut pose, shown) = self.asking(|registration| {
+            let shown = self.shown(registration, &masks);
+            (self.posed(registration, &masks, Some(&shown)), shown)
         });
         pose.notes.extend(self.header.clone());
         let mut stages = StageTimes::default();
         stages.add("register", watch.ms());
-        Registered { job: self, pose, looked, masks: Arc::new(masks), stages }
+        Registered { job: self, pose, shown: Some(Arc::new(shown)), masks: Arc::new(masks), stages }
     }
 
     /// What everything that is known of the frame comes to when it is asked of a registration.
@@ -287,12 +293,26 @@ impl PoseJob {
         ask(&registration)
     }
 
-    /// By the beads and tags that the session names; `looked` is what the frame shows, if that is known.
-    pub(super) fn posed(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {
-        let pose = self.registered(registration, masks, looked);
+    fn shown(&self, registration: &Registration, masks: &Masks) -> Shown {
+        let Known { tags, layout, .. } = &self.known;
+        Shown::in_frame(&self.bound.frame, masks, tags.as_ref(), layout.is_some(), registration)
+    }
+
+    /// By the beads and tags that the session names; `shown` is what the frame shows of them, if that is known.
+    pub(super) fn posed(&self, registration: &Registration, masks: &Masks, shown: Option<&Shown>) -> Pose {
+        let anew;
+        let shown = match shown {
+            Some(shown) => shown,
+            None => {
+                anew = self.shown(registration, masks);
+                &anew
+            }
+        };
+        let register = |registration: &Registration| shown.register(registration, &self.bound.frame, masks);
+        let pose = register(registration);
         let pose = match self.measured() {
             Some(measured) => pose::fuse(pose, &measured, &|measured| {
-                self.registered(&Registration { prior: Some(measured), fuse: true, ..*registration }, masks, looked)
+                register(&Registration { prior: Some(measured), fuse: true, ..*registration })
             }),
             None => pose,
         };
@@ -300,32 +320,11 @@ impl PoseJob {
             Some(Err(detail)) => pose.refused_for(Refusal::Distortion { detail: detail.clone() }),
             _ => pose,
         };
+        pose.prior_from("by telemetry");
         if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
             pose.doubt(words.clone());
         }
         pose
-    }
-
-    fn registered(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {
-        let frame = &self.bound.frame;
-        match (&self.known.tags, self.known.layout.is_some()) {
-            (Some(tags), _) => match find_tags(frame, tags.family) {
-                Ok(seen) => pose::register_tagged(registration, frame, masks, tags, &seen),
-                Err(error) => {
-                    let mut pose = pose::register_masked(registration, frame, masks);
-                    pose.cautions.push(format!("tags were not looked for: {error}"));
-                    pose
-                }
-            },
-            (None, true) => match looked {
-                Some(looked) => pose::register_looked(registration, frame, looked),
-                None => pose::register_masked(registration, frame, masks),
-            },
-            (None, false) => {
-                let detail = "the session names no beads".to_owned();
-                pose::register_masked(registration, frame, masks).refused_for(Refusal::Layout { detail })
-            }
-        }
     }
 
     /// Camera in the specimen by telemetry alone.
@@ -394,8 +393,8 @@ pub(super) struct Used {
 pub struct Registered {
     job: PoseJob,
     pose: Pose,
-    /// What the frame shows, where it was looked at for beads alone.
-    looked: Option<Arc<Looked>>,
+    /// What the frame shows, where it was looked at.
+    shown: Option<Arc<Shown>>,
     masks: Arc<Masks>,
     stages: StageTimes,
 }
@@ -410,21 +409,24 @@ impl Registered {
     /// A refusal in place of a result: running the job failed.
     #[must_use]
     pub fn failed(job: PoseJob, reason: &str) -> Self {
+        let refusal = Refusal::Fault { detail: reason.to_owned() };
+        // A picture by telemetry's pose shows the beads all the same.
+        let beads = job.asking(|registration| registration.refuse(&refusal).beads);
         let known = Known { layout: None, tags: None, ..job.known };
         // Without beads, tags and masks nothing is looked at again: whatever failed does not fail a second time.
         let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
-        refused.pose = refused.pose.refused_for(Refusal::Fault { detail: reason.to_owned() });
+        refused.pose = Pose { beads, ..refused.pose.refused_for(refusal) };
         refused
     }
 
     /// The result that a log has: nothing is computed.
     pub(super) fn recorded(job: PoseJob, pose: Pose) -> Self {
-        Self { job, pose, looked: None, masks: Arc::default(), stages: StageTimes::default() }
+        Self { job, pose, shown: None, masks: Arc::default(), stages: StageTimes::default() }
     }
 
     /// What its pose rests on: the job, and what the frame shows.
-    pub(super) fn rests_on(&self) -> (&PoseJob, Option<&Arc<Looked>>) {
-        (&self.job, self.looked.as_ref())
+    pub(super) fn rests_on(&self) -> (&PoseJob, Option<&Arc<Shown>>) {
+        (&self.job, self.shown.as_ref())
     }
 
     /// The frame with its pose, and where its beads put the specimen in the room, if both are known.

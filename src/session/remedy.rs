@@ -29,7 +29,7 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
 }
 
 /// The sentence of a refusal says what was found; this is where to look first.
-fn of_refusal(refusal: &Refusal) -> &'static str {
+pub(super) fn of_refusal(refusal: &Refusal) -> &'static str {
     match refusal {
         Refusal::TooFewBeads { .. } | Refusal::TooFewShadows { .. } | Refusal::NoMatch { .. } | Refusal::Chance { .. } => {
             "bring more beads into the open field: open the collimator, or aim at them, and expose again"

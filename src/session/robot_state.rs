@@ -219,7 +219,6 @@ fn bent(timeline: &Timeline, exposure: &ExposureInterval) -> Option<RobotCaution
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::CarmJoints;
     use crate::telemetry::{CarmSample, DeviceKind, RobotSample, Sample, SequenceTracker, Tendon};
 
     /// The beam is on from 1000 to 1400 ms.
@@ -229,16 +228,9 @@ mod tests {
         Sample::Carm(CarmSample {
             device_us: 1000 * ms,
             sequence: (ms / 20) as u32,
-            joints: CarmJoints::ZERO,
-            tube_kvp: 90.0,
-            tube_ma: 3.0,
-            pulse_width_ms: 8.0,
-            filter_mm_al: 4.3,
-            filter_mm_cu: 0.0,
-            field_mm: [f64::NAN; 4],
             xray_on: (1000..1400).contains(&ms),
             exposure_counter: Some(u32::from(ms >= 1000)),
-            status: 0,
+            ..CarmSample::UNTOLD
         })
     }
 

@@ -10,7 +10,7 @@ use super::SessionError;
 use super::background::stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
-use super::busy::{Busy, Task, WARNED_AFTER};
+use super::busy::{Busy, HANGS_AFTER, Task};
 use super::chime::Chime;
 use super::developed::Developed;
 use super::fault;
@@ -20,12 +20,14 @@ use super::log::SessionLog;
 use super::pair_view::PairView;
 use crate::report::PairStatus;
 use crate::reporter::Reporter;
-use crate::time::host_now_us;
+use crate::time::{Stopwatch, host_now_us};
 
 /// Pairs that wait for a slow disk; then the workshop waits, and once many posed frames wait for it, those that are not posed yet.
 const QUEUE: usize = 4;
 /// How often the scribe looks whether it is to leave.
 const LOOK: Duration = Duration::from_millis(100);
+/// How often whoever leaves at once looks whether the scribe has come.
+const JOIN: Duration = Duration::from_millis(5);
 /// So long a strip waits for its null to begin: where other frames come first it is written as it is.
 const STRIP_WAITS_MS: f64 = 1000.0;
 
@@ -99,9 +101,18 @@ impl Scribe {
         self.leave.store(true, Ordering::Relaxed);
     }
 
-    /// Waits for the thread; `None` when it died.
-    pub(super) fn join(self) -> Option<Collector> {
-        self.thread.join().ok()
+    /// Waits for the thread, within a `limit` where somebody leaves at once; in words, what became of it where it does not come.
+    pub(super) fn join(self, limit: Option<Duration>) -> Result<Collector, &'static str> {
+        if let Some(limit) = limit {
+            let watch = Stopwatch::start();
+            while !self.thread.is_finished() {
+                if watch.ms() >= 1e3 * limit.as_secs_f64() {
+                    return Err("stands still");
+                }
+                std::thread::sleep(JOIN);
+            }
+        }
+        self.thread.join().map_err(|_| "died")
     }
 }
 
@@ -137,7 +148,8 @@ impl Work {
     fn write_strips(&mut self) {
         let at_work = self.busy.longer_than(Duration::ZERO);
         let is_due = |(number, waited_ms): &(u32, f64)| {
-            let making = at_work.iter().find(|(task, _)| *task == Task::Developing(*number));
+            let of_it = [Task::Developing(*number), Task::Null(*number)];
+            let making = at_work.iter().find(|(task, _)| of_it.contains(task));
             strip_is_due(*waited_ms, making.map(|(_, taken)| *taken))
         };
         let due: Vec<(u32, f64)> = self.collector.waiting().filter(is_due).collect();
@@ -194,7 +206,7 @@ impl Work {
 
 /// Whether a strip is written that has waited so long; `making` is for how long its null is being made, if it is.
 fn strip_is_due(waited_ms: f64, making: Option<Duration>) -> bool {
-    waited_ms >= STRIP_WAITS_MS && making.is_none_or(|taken| taken >= WARNED_AFTER)
+    waited_ms >= STRIP_WAITS_MS && making.is_none_or(|taken| taken >= HANGS_AFTER)
 }
 
 #[cfg(test)]
@@ -208,6 +220,6 @@ mod tests {
         assert!(!strip_is_due(0.0, None) && !strip_is_due(0.5 * STRIP_WAITS_MS, Some(soon)));
         assert!(!strip_is_due(5.0 * STRIP_WAITS_MS, Some(soon)), "it would be written twice");
         assert!(strip_is_due(STRIP_WAITS_MS, None), "other frames come first");
-        assert!(strip_is_due(2e4, Some(WARNED_AFTER)), "its null hangs");
+        assert!(strip_is_due(2e4, Some(HANGS_AFTER)), "its null hangs");
     }
 }

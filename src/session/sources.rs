@@ -7,6 +7,7 @@ use super::SessionError;
 use super::board::Board;
 use super::busy::Busy;
 use super::event::{Event, Source};
+use super::fault;
 use super::file::Setup;
 use super::intake::FrameIntake;
 use super::log::SessionLog;
@@ -33,17 +34,27 @@ impl Ending {
 impl Drop for Ending {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            let words = match self.source {
-                Source::Lines => {
-                    "the thread that reads the serial lines died: no telemetry is recorded any more; end the session and start it again"
-                }
-                Source::Frames => {
-                    "the thread that reads frames died: no frame is taken any more; end the session, start it again, and attach what came meanwhile"
-                }
+            let (kind, words) = match self.source {
+                Source::Lines => (
+                    "reading died",
+                    "the thread that reads the serial lines died: no telemetry is recorded any more; end the session and start it again",
+                ),
+                Source::Frames => (
+                    "reading died",
+                    "the thread that reads frames died: no frame is taken any more; end the session, start it again, and attach what came meanwhile",
+                ),
+                Source::Registrar => (
+                    "no registration",
+                    "the thread that registers frames died: no frame is posed any more; recording goes on, and a replay of the log poses them",
+                ),
+                Source::Editor => (
+                    "no edits",
+                    "the thread that poses edited frames died: no bead is edited any more; a replay of the log makes the edits",
+                ),
             };
             self.log.event(Level::Error, host_now_us(), words);
             self.log.lose(words.to_owned());
-            self.reporter.warn("reading died", words);
+            self.reporter.warn(kind, words);
         }
         self.log.tell(Event::Ended(self.source));
     }
@@ -56,6 +67,7 @@ pub(super) fn frame_source(
     reporter: &Reporter,
 ) -> Result<Box<dyn FrameSource>, SessionError> {
     let path = &setup.session.frames.folder;
+    fault::hangs("watch");
     let (domain, reader) = (setup.domain(), foreign::installed().with_reserve());
     let folder: Box<dyn FrameSource> = match setup.session.frames.sub_folders {
         true => Box::new(FolderTree::new(path, domain, include_existing, reader)),

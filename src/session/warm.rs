@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::crosscheck::choose_view;
 use super::develop::Bench;
+use super::file::Setup;
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Expectation, detect};
 use crate::compare::{CompareInput, compare};
@@ -17,7 +18,8 @@ impl Bench {
     pub(super) fn warm(&mut self, waits: impl Fn() -> bool) {
         let beads = self.layout.iter().flat_map(|layout| &layout.beads).map(|bead| bead.lps_mm);
         let places: Vec<DVec3> = beads.chain(self.centre()).collect();
-        let Ok(view) = choose_view(&self.setup, &places, &self.scene) else { return };
+        let Setup { carm, session, .. } = &self.setup;
+        let Ok(view) = choose_view(carm.as_ref(), session.world_from_lps, &places, &self.scene) else { return };
         let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
         // What is wrong with the scene is said when a frame is rendered.
         if self.renderer.warm(&self.scene, view, &options).is_err() || waits() {

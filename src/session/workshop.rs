@@ -21,7 +21,7 @@ use crate::gpu::DeviceChoice;
 use crate::render::{Plan, Renderer};
 use crate::reporter::Reporter;
 use crate::scene::model::ScatterModel;
-use crate::scene::{self, Robot};
+use crate::scene::{self, Robot, Scene};
 use crate::transport::NetworkScatter;
 
 /// A frame, and the plan to execute where a log has one.
@@ -109,7 +109,20 @@ impl Workshop {
         if let Some(layout) = &mut layout {
             layout.refused = crosscheck::refusal(&findings);
         }
-        let renderer = Renderer::new(device, reporter)?;
+        Self::with_scene((scene, names), layout, setup, Renderer::new(device, reporter)?, reporter)
+    }
+
+    /// With a scene that is loaded, and what its files may be called.
+    ///
+    /// # Errors
+    /// When the network that the scene asks for its scatter is not there.
+    pub(super) fn with_scene(
+        (scene, names): (Scene, InputNames),
+        layout: Option<BeadLayout>,
+        setup: &Setup,
+        renderer: Renderer,
+        reporter: &Reporter,
+    ) -> Result<Self, SessionError> {
         let adapter = renderer.adapter();
         let declared = Declared::of(setup);
         let robot = scene.robot.clone();
@@ -134,6 +147,7 @@ impl Workshop {
             stand_back();
             let mut bench = bench;
             if warm {
+                let _at_work = shared.busy.begin(Task::Warming);
                 // A fault in it shows again with the first frame.
                 let waits = || !shared.lock().jobs.is_empty();
                 let _ = catch_unwind(AssertUnwindSafe(|| bench.warm(waits)));
@@ -284,7 +298,10 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
                 // An earlier pair of the same frame is replaced: it needs no null any more.
                 nulls.retain(|waiting| waiting.posed.number != posed.number);
                 let at_work = shared.busy.begin(Task::Developing(posed.number));
-                let attempt = catch_unwind(AssertUnwindSafe(|| bench.develop(posed.clone(), plan)));
+                let attempt = catch_unwind(AssertUnwindSafe(|| {
+                    fault::hangs("render");
+                    bench.develop(posed.clone(), plan)
+                }));
                 drop(at_work);
                 let developed =
                     attempt.unwrap_or_else(|_| bench.failed(posed, "rendering or comparing it failed (a fault of this program)"));
@@ -296,7 +313,7 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
             Next::Idle => {
                 let Some(developed) = nulls.pop_back() else { continue };
                 let cancelled = || shared.lock().puts_nulls_off();
-                let at_work = shared.busy.begin(Task::Developing(developed.posed.number));
+                let at_work = shared.busy.begin(Task::Null(developed.posed.number));
                 let attempt = catch_unwind(AssertUnwindSafe(|| bench.add_null(developed.clone(), &cancelled)));
                 drop(at_work);
                 match attempt {

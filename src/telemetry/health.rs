@@ -59,12 +59,9 @@ impl Health {
         ];
         lost.iter().sum()
     }
-}
 
-impl std::fmt::Display for Health {
-    /// The frames, then every counter that is not zero.
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} frames", self.frames)?;
+    /// What went wrong, and how often: every counter of that kind that is not zero.
+    pub fn faults(&self) -> impl Iterator<Item = (u64, &'static str)> + use<> {
         let faults = [
             (self.corrupt, "corrupt"),
             (self.lost, "lost"),
@@ -80,9 +77,14 @@ impl std::fmt::Display for Health {
             (self.resets, "device resets"),
             (self.stale, "stale silences"),
         ];
-        for (count, words) in faults.iter().filter(|(count, _)| *count > 0) {
-            write!(f, ", {count} {words}")?;
-        }
-        Ok(())
+        faults.into_iter().filter(|(count, _)| *count > 0)
+    }
+}
+
+impl std::fmt::Display for Health {
+    /// The frames, then every fault.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} frames", self.frames)?;
+        self.faults().try_for_each(|(count, words)| write!(f, ", {count} {words}"))
     }
 }

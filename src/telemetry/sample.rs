@@ -34,6 +34,24 @@ pub struct CarmSample {
     pub status: u32,
 }
 
+impl CarmSample {
+    /// The first message of a dark arm that tells nothing: its joints are zero.
+    pub const UNTOLD: Self = Self {
+        device_us: 0,
+        sequence: 0,
+        joints: CarmJoints::ZERO,
+        tube_kvp: f64::NAN,
+        tube_ma: f64::NAN,
+        pulse_width_ms: f64::NAN,
+        filter_mm_al: f64::NAN,
+        filter_mm_cu: f64::NAN,
+        field_mm: [f64::NAN; 4],
+        xray_on: false,
+        exposure_counter: None,
+        status: 0,
+    };
+}
+
 /// Where control angles come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

@@ -8,6 +8,7 @@ use std::time::Duration;
 use super::byte_source::{ByteSource, Closing, Heard};
 use super::lines::LineAdapter;
 use super::port_error::PortError;
+use crate::regular;
 use crate::time::host_now_us;
 
 /// How often the file is looked at: what stands in it has no better time of arrival than this.
@@ -51,12 +52,7 @@ impl Open {
         known: Option<(Identity, u64)>,
         was_missing: bool,
     ) -> std::io::Result<Self> {
-        // A pipe that nobody writes to would not open.
-        let metadata = std::fs::metadata(path)?;
-        if !metadata.is_file() {
-            return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "no regular file"));
-        }
-        let mut file = File::open(path)?;
+        let mut file = regular::open(path)?;
         let metadata = file.metadata()?;
         let (identity, length) = (identity(&metadata), metadata.len());
         let (at, header) = match known {

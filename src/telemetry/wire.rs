@@ -17,10 +17,10 @@ pub const MAX_ENCODED_BYTES: usize = 512;
 
 pub(super) const HEADER_BYTES: usize = 16;
 pub(super) const CRC_BYTES: usize = 4;
-const ROBOT: u8 = 1;
-const CARM: u8 = 2;
+pub(super) const ROBOT: u8 = 1;
+pub(super) const CARM: u8 = 2;
 pub(super) const METADATA: u8 = 3;
-const NO_COUNTER: u32 = u32::MAX;
+pub(super) const NO_COUNTER: u32 = u32::MAX;
 const CRC32C: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
 /// A tracked rotation may be off unit length by this much, as f64 on the wire never is.
 const QUATERNION_LIMIT: f64 = 1e-3;

@@ -9,42 +9,10 @@ use std::collections::HashMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::bounds::{Held, Range, Region, held};
+use super::bounds::Region;
+use super::contents::{Content, content};
 use super::matter::{Body, Thing, bounds_of};
 use super::planes::{Planes, cut};
-
-/// Densities of mixtures are bounded in steps of this factor, so that neighbours can be merged.
-const LADDER: f64 = 1.05;
-
-/// What a box of space holds.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Content {
-    /// Nothing.
-    Empty,
-    /// One material of one density, g/cm³, everywhere.
-    Uniform {
-        /// Scene material.
-        material: u32,
-        /// Its density.
-        density: f64,
-    },
-    /// Whatever the things have at a point.
-    Mixed(Mixture),
-}
-
-/// Things that may have matter in a box, and bounds of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mixture {
-    /// Indices of things, the scene's last first.
-    pub things: Vec<u32>,
-    /// Whether air that is kept has to be asked for.
-    pub keeps_air: bool,
-    /// Attenuation at any point is at most the largest of `to` · μ/ρ, and, if there is matter everywhere, at least the smallest of
-    /// `from` · μ/ρ.
-    pub ranges: Vec<Range>,
-    /// Whether there is matter everywhere, none of it fading.
-    pub is_full: bool,
-}
 
 /// Cells from one plane to another along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,7 +75,7 @@ impl Cells {
             for content in slab {
                 let index = match content {
                     Content::Empty => 0,
-                    content => *known.entry(key(&content)).or_insert_with(|| {
+                    content => *known.entry(content.key()).or_insert_with(|| {
                         contents.push(content);
                         contents.len() as u32 - 1
                     }),
@@ -155,88 +123,6 @@ fn has_flat_faces(body: &Body) -> bool {
 fn region(planes: &[Planes; 3], cell: [usize; 3]) -> Region {
     let at = |step: usize| DVec3::from_array(std::array::from_fn(|axis| planes[axis].at[cell[axis] + step]));
     Region { low: at(0), high: at(1) }
-}
-
-/// What a region holds: the things that may have matter there, from the scene's last to the first that leaves nothing to others.
-fn content(things: &[Thing], bounds: &[(DVec3, DVec3)], region: &Region) -> Content {
-    let mut found: Vec<(u32, usize, Held)> = Vec::new();
-    let (mut covering, mut is_full, mut holds_air) = (usize::MAX, false, false);
-    for (index, (thing, bound)) in things.iter().zip(bounds).enumerate() {
-        // Parts that lie in one object add up, so a part that is full covers only what comes before the object.
-        if is_full && thing.own != covering {
-            break;
-        }
-        if bound.0.cmpgt(region.high).any() || bound.1.cmplt(region.low).any() {
-            continue;
-        }
-        let held = held(&thing.body, region);
-        if held.ranges.is_empty() {
-            continue;
-        }
-        if held.is_full {
-            (is_full, covering) = (true, thing.own);
-        }
-        holds_air |= held.holds_air;
-        found.push((index as u32, thing.own, held));
-    }
-    match found.as_slice() {
-        [] => return Content::Empty,
-        [(_, _, held)] if held.is_full || held.holds_air && held.ranges.len() == 1 && is_solid_air(things, &found, region) => {
-            if let [range] = held.ranges.as_slice()
-                && range.from == range.to
-            {
-                return Content::Uniform { material: range.material, density: range.to };
-            }
-        }
-        _ => {}
-    }
-    let mut ranges: Vec<Range> = Vec::new();
-    for (_, own, held) in &found {
-        let together = found.iter().filter(|(_, other, _)| other == own).count() as f64;
-        for range in &held.ranges {
-            let (from, to) = (step_below(range.from), step_above(range.to * together));
-            match ranges.iter_mut().find(|known| known.material == range.material) {
-                Some(known) => (known.from, known.to) = (known.from.min(from), known.to.max(to)),
-                None => ranges.push(Range { material: range.material, from, to }),
-            }
-        }
-    }
-    ranges.sort_unstable_by_key(|range| range.material);
-    let things = found.iter().map(|(index, ..)| *index).collect();
-    // Matter that fades displaces what lies under it, down to no density at all.
-    is_full &= found.iter().all(|(.., held)| !held.fades);
-    Content::Mixed(Mixture { things, keeps_air: holds_air, ranges, is_full })
-}
-
-/// Whether the one thing found is a solid of air that fills the region: nothing else is there to displace it.
-fn is_solid_air(things: &[Thing], found: &[(u32, usize, Held)], region: &Region) -> bool {
-    let [(index, ..)] = found else { return false };
-    match &things[*index as usize].body {
-        Body::Solid(body) => super::bounds::inside(body, region) == Some(true),
-        Body::Mesh(_) | Body::Volume(_) => false,
-    }
-}
-
-fn step_above(density: f64) -> f64 {
-    LADDER.powf((density.ln() / LADDER.ln()).ceil()).max(density) * (1.0 + 1e-9)
-}
-
-fn step_below(density: f64) -> f64 {
-    LADDER.powf((density.ln() / LADDER.ln()).floor()).min(density) * (1.0 - 1e-9)
-}
-
-/// Equal for equal contents only.
-fn key(content: &Content) -> Vec<u64> {
-    match content {
-        Content::Empty => Vec::new(),
-        Content::Uniform { material, density } => vec![u64::from(*material), density.to_bits()],
-        Content::Mixed(mixture) => {
-            let things = mixture.things.iter().map(|index| u64::from(*index));
-            let ranges = mixture.ranges.iter().flat_map(|r| [u64::from(r.material), r.from.to_bits(), r.to.to_bits()]);
-            let flags = u64::from(mixture.keeps_air) + 2 * u64::from(mixture.is_full);
-            [mixture.things.len() as u64, flags, u64::MAX].into_iter().chain(things).chain(ranges).collect()
-        }
-    }
 }
 
 /// Boxes of cells with equal contents: each grows along the axes in this order as far as it finds nothing else. Long boxes along the beam
@@ -293,6 +179,7 @@ fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usiz
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::transport::contents::Mixture;
     use crate::transport::fixture::everything;
     use crate::transport::matter::{Mix, draw_at, things_of};
     use crate::transport::stream::Stream;
@@ -308,7 +195,7 @@ mod tests {
         // μ/ρ by scene material, any numbers.
         let per_mm = [0.02, 0.03, 0.12, 0.028, 0.07, 0.018];
         let mu = |mix: &Mix| mix.parts.iter().map(|(material, density)| density * per_mm[*material as usize]).sum::<f64>();
-        let (mut kinds, mut tight) = ([0; 3], 0);
+        let (mut kinds, mut tight, mut beside) = ([0; 3], 0, [0_usize; 2]);
         for _ in 0..200_000 {
             let share = DVec3::new(stream.uniform(), stream.uniform(), stream.uniform());
             let point = bounds.low + (bounds.high - bounds.low) * share;
@@ -327,19 +214,32 @@ mod tests {
                     kinds[1] += 1;
                 }
                 Content::Mixed(mixture) => {
-                    draw_at(&things, &mixture.things, mixture.keeps_air, point, &mut again, &mut here);
+                    draw_at(&things, &mixture.things, mixture.keeps_air, point, &mut again.clone(), &mut here);
                     assert_eq!(mu(&mix), mu(&here), "{point}");
-                    let most = mixture.ranges.iter().map(|range| range.to * per_mm[range.material as usize]).fold(0.0, f64::max);
-                    let least = mixture.ranges.iter().map(|range| range.from * per_mm[range.material as usize]);
-                    let least = if mixture.is_full { least.fold(f64::INFINITY, f64::min) } else { 0.0 };
-                    assert!(mu(&mix) <= most && mu(&mix) >= least, "{point}: {least} {} {most}", mu(&mix));
-                    // The control: bounds a fifth narrower are overstepped somewhere.
-                    tight += usize::from(mu(&mix) > 0.8 * most);
+                    let is_within = |mixture: &Mixture| {
+                        let to = mixture.ranges.iter().map(|range| range.to * per_mm[range.material as usize]);
+                        let from = mixture.ranges.iter().map(|range| range.from * per_mm[range.material as usize]);
+                        let least = if mixture.is_full { from.fold(f64::INFINITY, f64::min) } else { 0.0 };
+                        let most = to.fold(0.0, f64::max);
+                        assert!(mu(&mix) <= most && mu(&mix) >= least, "{point}: {least} {} {most}", mu(&mix));
+                        // The control: bounds a fifth narrower are overstepped somewhere.
+                        usize::from(mu(&mix) > 0.8 * most && most > 0.0)
+                    };
+                    tight += is_within(mixture);
                     kinds[2] += 1;
+                    // Where none of the dense shapes is, there is the rest; kept air is drawn twice, and not alike.
+                    let Some(dense) = mixture.dense.as_deref().filter(|_| !mixture.keeps_air) else { continue };
+                    draw_at(&things, &dense.shapes, false, point, &mut again.clone(), &mut here);
+                    if here.parts.is_empty() {
+                        draw_at(&things, &dense.rest.things, dense.rest.keeps_air, point, &mut again, &mut here);
+                        assert_eq!(mu(&mix), mu(&here), "{point}, beside");
+                        beside[is_within(&dense.rest)] += 1;
+                    }
                 }
             }
         }
         assert!(kinds.iter().all(|count| *count > 1000) && tight > 1000, "{kinds:?} {tight}");
+        assert!(beside.iter().sum::<usize>() > 100 && beside[1] > 10, "{beside:?}");
     }
 
     #[test]

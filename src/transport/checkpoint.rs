@@ -8,6 +8,10 @@ use super::error::TransportError;
 use super::simulation::{Histories, Simulation};
 use super::tally::Tally;
 use crate::image::write_atomically;
+use crate::regular;
+
+/// Goes up whenever photons are followed otherwise, or the sums are others, so that none are added to those of another kind.
+const METHOD: u32 = 2;
 
 /// Sums up to some batch; going on from them gives the bits of a run that never stopped.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,7 +33,7 @@ impl Checkpoint {
     #[must_use]
     pub fn new(histories: &Histories, device: &str, inputs: &[String], tally: &Tally) -> Self {
         Self {
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            version: format!("{}, method {METHOD}", env!("CARGO_PKG_VERSION")),
             device: device.to_owned(),
             histories_per_batch: tally.histories_per_batch,
             seed: histories.seed,
@@ -54,12 +58,12 @@ impl Checkpoint {
     /// # Errors
     /// When the file is there and is none.
     pub fn read(path: &Path) -> Result<Option<Self>, TransportError> {
-        let text = match std::fs::read_to_string(path) {
+        let text = match regular::read(path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(TransportError::Unreadable { path: path.to_owned(), detail: error.to_string() }),
         };
-        let read = serde_json::from_str(&text);
+        let read = serde_json::from_slice(&text);
         read.map(Some).map_err(|error| TransportError::Unreadable { path: path.to_owned(), detail: error.to_string() })
     }
 
@@ -85,9 +89,10 @@ impl Checkpoint {
         differs("the grid", format!("{:?}", self.grid_px), format!("{:?}", here.grid_px))?;
         differs("the estimator", format!("{:?}", self.estimator), format!("{:?}", here.estimator))?;
         differs("SHA-256 of scene and inputs", self.inputs.join(" "), here.inputs.join(" "))?;
-        let pixels = simulation.unattenuated().len();
-        if !self.tally.fits(pixels, simulation.materials()) {
-            let found = format!("{pixels} pixels and {} materials", simulation.materials());
+        let dose = |tally: &Tally| tally.dose_voxels().map_or_else(|| "none".to_owned(), |voxels| format!("of {voxels} voxels"));
+        differs("the dose map", dose(&self.tally), dose(empty))?;
+        if !self.tally.is_like(empty) {
+            let found = format!("{} pixels and {} materials", simulation.unattenuated().len(), simulation.materials());
             return Err(TransportError::Checkpoint { what: "the number of sums", saved: "another".to_owned(), found });
         }
         Ok(self.tally)

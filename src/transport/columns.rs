@@ -86,8 +86,8 @@ impl Simulation<'_> {
                 if let Some((ray, gone_mm)) = entered.filter(|(_, gone_mm)| *gone_mm < path_mm) {
                     // Not the numbers of a history.
                     let mut stream = Stream::new(!self.histories().seed, cell as u64);
-                    let mut medium = Medium::default();
-                    medium.per_mm = kinds.iter().map(|[compton, rayleigh, photo]| compton + rayleigh + photo).collect();
+                    let per_mm = kinds.iter().map(|[compton, rayleigh, photo]| compton + rayleigh + photo).collect();
+                    let mut medium = Medium { per_mm, ..Medium::default() };
                     space.sample(ray, path_mm - gone_mm, STEP_MM, &mut medium, &mut stream, |material, density_mm, along_mm| {
                         let [compton, rayleigh, _] = kinds[material as usize];
                         met.add(material, density_mm, (compton + rayleigh) * density_mm, (path_mm - gone_mm - along_mm) * cosine);
@@ -252,7 +252,7 @@ mod tests {
         let scene = everything();
         let camera_from_lps =
             Rigid { rotation: DQuat::from_scaled_axis(DVec3::new(0.7, -0.4, 0.2)), translation_mm: DVec3::Z * 600.0 };
-        let simulation = simulation(&scene, &View { camera_from_lps, ..view() }, 1_000_000);
+        let simulation = simulation(&scene, &View { camera_from_lps, ..view() }, 250_000);
         let mut tally = simulation.tally();
         simulation.run(&mut tally, |_| Ok::<(), ()>(())).expect("nothing stops it");
         // Many rays a cell: what photons find is a mean over it.

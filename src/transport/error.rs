@@ -37,6 +37,11 @@ pub enum TransportError {
     /// The collimator is closed.
     #[error("beam.field: no photon leaves through it")]
     NoField,
+    /// What a pixel's photons are counted by is 0.
+    #[error(
+        "beam.bowtie and beam.heel leave no photon on the principal ray, where photons_per_pixel counts; make the bow-tie thinner there"
+    )]
+    DarkPrincipalRay,
     /// One attenuation for everything has no scatter.
     #[error("model.formation naive has no interactions to follow; scatter needs deepdrr")]
     Naive,

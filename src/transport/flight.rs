@@ -2,11 +2,13 @@
 //!
 //! In a box of one material both are exact. In a mixture the flight is Woodcock's: tentative collisions at the box's majorant, each real
 //! with the share of what is at its point (unbiased wherever matter lies inside the box, so shapes are exact). The transmission is the
-//! residual ratio estimator (Novák et al. 2014): exp(−minorant · length) times the share that each tentative collision leaves.
+//! residual ratio estimator (Novák et al. 2014): exp(−minorant · length) times the share that each tentative collision leaves. Where a box
+//! holds shapes much denser than the rest of it, a ray is told where it runs through one, and knows no more than the rest elsewhere.
 
 use glam::{BVec3, DVec3};
 
-use super::cells::{CellBox, Cells, Content, Mixture, OUTSIDE, SEVERAL};
+use super::cells::{CellBox, Cells, OUTSIDE, SEVERAL};
+use super::contents::{Content, Mixture};
 use super::matter::{Mix, Thing, draw_at};
 use super::stream::Stream;
 
@@ -43,12 +45,16 @@ pub enum End {
 pub struct Medium {
     /// By scene material.
     pub per_mm: Vec<f64>,
-    mix: Mix,
+    pub(super) mix: Mix,
 }
 
 /// Thickness by which two points of a mixture may differ before they are sampled closer, and how much closer at most.
 const STEEP: f64 = 0.05;
 const MOST_SPLIT: f64 = 16.0;
+
+/// Dense shapes are taken to be longer by twice this at both ends of a ray's way through them, and what ends this far behind it is passed: no
+/// rounding hides them from a ray, or keeps it there.
+pub(super) const NEAR_MM: f64 = 0.01;
 
 /// What a direction means for all boxes.
 struct Way {
@@ -128,6 +134,18 @@ impl<'a> Space<'a> {
         }))
     }
 
+    /// What there may be ahead of a ray in a mixture, and for how many mm of `step_mm` before that changes.
+    #[inline]
+    fn ahead<'m>(&self, mixture: &'m Mixture, ray: &Ray, step_mm: f64) -> (&'m Mixture, f64) {
+        let Some(dense) = &mixture.dense else { return (mixture, step_mm) };
+        let next = |index: &u32| self.things[*index as usize].body.next_stretch(ray.position, ray.direction, -NEAR_MM);
+        match dense.shapes.iter().filter_map(next).min_by(|a, b| a.0.total_cmp(&b.0)) {
+            None => (&dense.rest, step_mm),
+            Some((from, _)) if from > 3.0 * NEAR_MM => (&dense.rest, step_mm.min(from - 2.0 * NEAR_MM)),
+            Some((_, to)) => (mixture, step_mm.min(to + 2.0 * NEAR_MM)),
+        }
+    }
+
     /// Flies until a collision, the end of the scene, or `path_mm`.
     #[inline]
     pub fn fly(&self, ray: &mut Ray, path_mm: f64, medium: &mut Medium, stream: &mut Stream) -> End {
@@ -135,7 +153,7 @@ impl<'a> Space<'a> {
         let (mut left_mm, mut depth) = (path_mm, stream.exponential());
         loop {
             let exit = self.exit(ray, &way);
-            let mut step_mm = exit.distance_mm.min(left_mm);
+            let (mut step_mm, mut is_cut) = (exit.distance_mm.min(left_mm), false);
             let arrives = left_mm <= exit.distance_mm;
             match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
                 Content::Empty => {}
@@ -148,6 +166,8 @@ impl<'a> Space<'a> {
                     depth -= per_mm * step_mm;
                 }
                 Content::Mixed(mixture) => {
+                    let (mixture, ahead_mm) = self.ahead(mixture, ray, step_mm);
+                    (is_cut, step_mm) = (ahead_mm < step_mm, ahead_mm);
                     let majorant = majorant(mixture, &medium.per_mm);
                     while majorant * step_mm > depth {
                         let flown_mm = depth / majorant;
@@ -164,10 +184,13 @@ impl<'a> Space<'a> {
                 }
             }
             ray.position += ray.direction * step_mm;
+            left_mm -= step_mm;
+            if is_cut {
+                continue;
+            }
             if arrives {
                 return End::Arrived;
             }
-            left_mm -= step_mm;
             if !self.cross(ray, &way, exit.axis) {
                 return End::Left;
             }
@@ -229,13 +252,13 @@ impl<'a> Space<'a> {
         let (mut left_mm, mut depth, mut share, mut next) = (path_mm, 0.0, 1.0, stream.exponential());
         loop {
             let exit = self.exit(&ray, &way);
-            let step_mm = exit.distance_mm.min(left_mm);
-            let start = ray.position;
-            ray.position += ray.direction * step_mm;
+            let (mut step_mm, mut is_cut) = (exit.distance_mm.min(left_mm), false);
             match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
                 Content::Empty => {}
                 Content::Uniform { material, density } => depth += density * medium.per_mm[*material as usize] * step_mm,
                 Content::Mixed(mixture) => {
+                    let (mixture, ahead_mm) = self.ahead(mixture, &ray, step_mm);
+                    (is_cut, step_mm) = (ahead_mm < step_mm, ahead_mm);
                     let most = majorant(mixture, &medium.per_mm);
                     let least = minorant(mixture, &medium.per_mm);
                     depth += least * step_mm;
@@ -243,7 +266,7 @@ impl<'a> Space<'a> {
                     let (mut gone, all) = (next, (most - least) * step_mm);
                     while gone < all {
                         let at_mm = gone / (most - least);
-                        let per_mm = self.attenuation_at(mixture, start + ray.direction * at_mm, medium, stream);
+                        let per_mm = self.attenuation_at(mixture, ray.position + ray.direction * at_mm, medium, stream);
                         share *= ((most - per_mm) / (most - least)).max(0.0);
                         gone += stream.exponential();
                     }
@@ -253,7 +276,11 @@ impl<'a> Space<'a> {
                     }
                 }
             }
+            ray.position += ray.direction * step_mm;
             left_mm -= step_mm;
+            if is_cut {
+                continue;
+            }
             if !(left_mm > 0.0) || !self.cross(&mut ray, &way, exit.axis) {
                 return share * (-depth).exp();
             }
@@ -304,8 +331,8 @@ mod tests {
     use crate::transport::fixture::{everything, scene, solid};
     use crate::transport::matter::things_of;
 
-    /// Largest distance of the distribution of free paths from the exponential one.
-    fn kolmogorov_smirnov(turn: DVec3, mean_mm: f64, draws: usize) -> f64 {
+    /// Free paths in order.
+    fn free_paths(turn: DVec3, draws: usize) -> Vec<f64> {
         let cube = Shape::Cuboid { half_size_mm: DVec3::splat(2000.0) };
         let scene = scene(
             &["water", "steel_316l"],
@@ -328,9 +355,15 @@ mod tests {
             })
             .collect();
         paths.sort_unstable_by(f64::total_cmp);
+        paths
+    }
+
+    /// Largest distance of the distribution of paths in order from the exponential one.
+    fn kolmogorov_smirnov(paths: &[f64], mean_mm: f64) -> f64 {
+        let count = paths.len() as f64;
         let distance = |(n, path): (usize, &f64)| {
             let share = 1.0 - (-path / mean_mm).exp();
-            (share - n as f64 / draws as f64).abs().max((share - (n + 1) as f64 / draws as f64).abs())
+            (share - n as f64 / count).abs().max((share - (n + 1) as f64 / count).abs())
         };
         paths.iter().enumerate().map(distance).fold(0.0, f64::max)
     }
@@ -341,9 +374,10 @@ mod tests {
         let draws = 400_000;
         let bound = 1.95 / (draws as f64).sqrt();
         for turn in [DVec3::ZERO, DVec3::new(0.3, 0.2, 0.1)] {
-            let found = kolmogorov_smirnov(turn, 48.57, draws);
+            let paths = free_paths(turn, draws);
+            let found = kolmogorov_smirnov(&paths, 48.57);
             assert!(found < bound, "{turn}: {found}, bound {bound}");
-            let off = kolmogorov_smirnov(turn, 49.06, draws);
+            let off = kolmogorov_smirnov(&paths, 49.06);
             assert!(off > bound, "control: 1 % is told apart: {off}");
         }
     }
@@ -358,7 +392,7 @@ mod tests {
         let things = things_of(&scene);
         let all: Vec<u32> = (0..things.len() as u32).collect();
         let mut cases = 0;
-        for n in 0..24u32 {
+        for n in 0..12u32 {
             let mut stream = Stream::new(41, u64::from(n));
             let mut place = |reach: f64| (DVec3::new(stream.uniform(), stream.uniform(), stream.uniform()) - 0.5) * reach;
             let (origin, to) = (place(60.0) + DVec3::new(0.0, 0.0, -150.0), place(60.0) + DVec3::new(0.0, 0.0, 150.0));
@@ -391,7 +425,7 @@ mod tests {
             let estimator_is_better = error < (truth * (1.0 - truth) / count).sqrt();
             cases += usize::from(estimator_is_better && truth > 0.0);
         }
-        assert!(cases > 16, "{cases}");
+        assert!(cases > 8, "{cases}");
     }
 
     /// Collisions are tried by the majorants. Those of boxes about a screw in a CT are steel's, and nobody else's: with one for all, every photon

@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3};
 
 use super::attenuation::Attenuation;
 use super::compton::{Compton, energy_ratio};
+use super::dose_grid::DoseGrid;
 use super::flight::{End, Medium, Ray, Space};
 use super::panel::Panel;
 use super::rayleigh::Rayleigh;
@@ -47,6 +48,8 @@ pub struct World<'a> {
     pub materials: Vec<Material>,
     /// How they are scored.
     pub estimator: Estimator,
+    /// Where energy that stays is booked by place, if anywhere.
+    pub dose: Option<DoseGrid>,
 }
 
 /// A kind of scattering.
@@ -137,6 +140,15 @@ impl World<'_> {
         }
     }
 
+    /// Energy that stays in a scene material at a point.
+    #[inline]
+    fn absorb(&self, material: u32, energy_kev: f64, point: DVec3, batch: &mut Batch) {
+        batch.absorb(material, energy_kev);
+        if let Some(dose) = &self.dose {
+            batch.deposit(dose.voxel(point), energy_kev);
+        }
+    }
+
     /// A collision with a material: false where the photon ends.
     #[expect(
         clippy::too_many_arguments,
@@ -156,7 +168,7 @@ impl World<'_> {
         let shares = material.attenuation.shares(photon.energy_kev);
         let chance = stream.uniform();
         if chance < shares.photo {
-            batch.absorb(struck, photon.weight * photon.energy_kev);
+            self.absorb(struck, photon.weight * photon.energy_kev, photon.ray.position, batch);
             return false;
         }
         let kind = if chance < shares.photo_or_compton { Kind::Compton } else { Kind::Rayleigh };
@@ -191,9 +203,9 @@ impl World<'_> {
         photon.ray.direction = direction;
         if kind == Kind::Compton {
             photon.energy_kev = before_kev * energy_ratio(before_kev, cosine);
-            batch.absorb(struck, photon.weight * (before_kev - photon.energy_kev));
+            self.absorb(struck, photon.weight * (before_kev - photon.energy_kev), photon.ray.position, batch);
             if photon.energy_kev < ENERGY_RANGE_KEV.0 {
-                batch.absorb(struck, photon.weight * photon.energy_kev);
+                self.absorb(struck, photon.weight * photon.energy_kev, photon.ray.position, batch);
                 return false;
             }
             self.tune(medium, photon.energy_kev);

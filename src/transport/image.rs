@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::error::TransportError;
+use super::mass::dose_gy;
 use super::simulation::Simulation;
 use super::tally::{DETECTED, ESCAPED, Estimate, PAGE_NAMES, Page, STARTED, Tally};
-use crate::image::{Image, write_atomically, write_tiff_f32};
+use crate::image::{Image, beside, write_atomically, write_tiff_f32};
 use crate::scene::model::Scene;
 
 /// A radiograph in its parts, on the coarse raster of the transport.
@@ -119,20 +120,6 @@ impl Simulation<'_> {
     }
 }
 
-/// Mean dose after `histories` in a material that absorbs so much energy in each, over all of it that the scene holds; what is nowhere has none.
-// Of 1 keV in 1 g: 1.602e-16 J in 1e-3 kg.
-fn dose_gy(absorbed_kev: Estimate, mass_g: Estimate, histories: f64) -> Estimate {
-    const GY_OF_KEV_PER_G: f64 = 1.602_176_634e-13;
-    if !(mass_g.mean > 0.0) {
-        // What absorbs and was met by no point has a dose that nobody knows.
-        let unknown = if absorbed_kev.mean > 0.0 { f64::NAN } else { 0.0 };
-        return Estimate { mean: unknown, standard_error: unknown };
-    }
-    let scale = GY_OF_KEV_PER_G * histories / mass_g.mean;
-    let of_mass = absorbed_kev.mean * mass_g.standard_error / mass_g.mean;
-    Estimate { mean: scale * absorbed_kev.mean, standard_error: scale * absorbed_kev.standard_error.hypot(of_mass) }
-}
-
 /// JSON has no infinity.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
@@ -161,10 +148,5 @@ impl ScatterImage {
 /// The files of a scatter image: itself, what it is, and what an interrupted run leaves.
 #[must_use]
 pub fn written_with(path: &Path) -> [PathBuf; 3] {
-    let beside = |suffix: &str| {
-        let mut name = path.as_os_str().to_owned();
-        name.push(suffix);
-        PathBuf::from(name)
-    };
-    [path.to_owned(), beside(".json"), beside(".checkpoint")]
+    [path.to_owned(), beside(path, "json"), beside(path, "checkpoint")]
 }

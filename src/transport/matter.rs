@@ -5,6 +5,7 @@
 use glam::{DAffine3, DVec3};
 
 use super::stream::Stream;
+use crate::render::cpu::shapes::intersect;
 use crate::render::mesh_tree::MeshTree;
 use crate::scene::model::{Matter as ObjectMatter, Mesh, Scene, Shape, Solid, Volume, Voxels};
 
@@ -140,6 +141,25 @@ impl Body<'_> {
             }
             Self::Volume(grid) => grid.draw_at(point, air, alone, stream, mix),
             Self::Solid(_) | Self::Mesh(_) => {}
+        }
+    }
+
+    /// From where to where a ray runs inside a shape or mesh, mm ahead: the first stretch that ends beyond `after_mm`. `None` where there is
+    /// none, and for volumes.
+    #[must_use]
+    pub fn next_stretch(&self, position: DVec3, direction: DVec3, after_mm: f64) -> Option<(f64, f64)> {
+        let ends_beyond = |(_, to): &&(f64, f64)| *to > after_mm;
+        match self {
+            Self::Solid(body) => {
+                let (p, q) = (body.local_from_lps.transform_point3(position), body.local_from_lps.transform_vector3(direction));
+                intersect(&body.solid.shape, p, q).as_slice().iter().find(ends_beyond).copied()
+            }
+            Self::Mesh(body) => {
+                let mut spans = Vec::new();
+                body.tree.inside(position, direction, &mut spans);
+                spans.iter().find(ends_beyond).copied()
+            }
+            Self::Volume(_) => None,
         }
     }
 }

@@ -12,6 +12,7 @@ mod compton;
 mod rayleigh;
 mod matter;
 mod bounds;
+mod contents;
 mod planes;
 mod cells;
 mod flight;
@@ -20,11 +21,13 @@ mod panel;
 mod beam_shape;
 mod source;
 mod tally;
-mod mass;
+mod dose_grid;
 mod history;
+mod mass;
 mod simulation;
 mod columns;
 mod image;
+mod dose;
 pub mod wgsl;
 mod checkpoint;
 mod scatter;
@@ -33,11 +36,15 @@ mod predicted;
 mod network;
 #[cfg(test)]
 mod fixture;
+#[cfg(test)]
+mod beside_metal;
 
 pub use attenuation::{Attenuation, Shares};
 pub use checkpoint::Checkpoint;
 pub use columns::{CHANNELS, Columns, SCALARS};
 pub use compton::{Compton, energy_ratio};
+pub use dose::{DoseMap, dose_files};
+pub use dose_grid::MOST_DOSE_VOXELS;
 pub use error::TransportError;
 pub use history::Estimator;
 pub use image::{ScatterImage, written_with};

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::attenuation::Attenuation;
 use super::compton::Compton;
+use super::dose_grid::DoseGrid;
 use super::error::TransportError;
 use super::flight::{Medium, Space};
 use super::history::{Estimator, Material, World};
@@ -58,7 +59,7 @@ impl<'a> Simulation<'a> {
     /// Prepares `scene` seen in `view`.
     ///
     /// # Errors
-    /// When the scene has no detector, no photons, or densities that are no numbers, or attenuation is not tabulated.
+    /// When the scene has no detector, no photons or none on the principal ray, or densities that are no numbers, or attenuation is not tabulated.
     pub fn new(scene: &'a Scene, view: &View, histories: Histories) -> Result<Self, TransportError> {
         if scene.model.formation == Formation::Naive {
             return Err(TransportError::Naive);
@@ -82,8 +83,19 @@ impl<'a> Simulation<'a> {
         };
         let materials = scene.materials.par_iter().map(material).collect::<Result<Vec<_>, TransportError>>()?;
         let space = Space::new(things_of(scene), panel.axes[2]);
-        let world = World { source, panel, space, materials, estimator: histories.estimator };
-        Ok(Self { world, histories, unattenuated })
+        let world = World { source, panel, space, materials, estimator: histories.estimator, dose: None };
+        let simulation = Self { world, histories, unattenuated };
+        if !simulation.histories_of_exposure(scene.beam.photons_per_pixel).is_finite() {
+            return Err(TransportError::DarkPrincipalRay);
+        }
+        Ok(simulation)
+    }
+
+    /// The same, where the dose is booked by voxel as well, on at most `most_voxels` over `scene`, of which it was made. An empty scene has none.
+    #[must_use]
+    pub fn with_dose(mut self, scene: &Scene, most_voxels: usize) -> Self {
+        self.world.dose = self.world.space.as_ref().map(|space| DoseGrid::new(scene, &space.cells.bounds(), most_voxels));
+        self
     }
 
     /// What photons are followed in.
@@ -135,7 +147,11 @@ impl<'a> Simulation<'a> {
     /// An empty tally for this scene.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        Tally::new(self.world.panel.pixels(), self.materials(), BATCH)
+        let tally = Tally::new(self.world.panel.pixels(), self.materials(), BATCH);
+        match &self.world.dose {
+            Some(dose) => tally.with_dose(dose.grid.voxels()),
+            None => tally,
+        }
     }
 
     /// Batches that are asked for.
@@ -202,7 +218,7 @@ impl<'a> Simulation<'a> {
             let mut stream = Stream::new(self.histories.seed, history);
             self.world.run(&mut stream, &mut medium, &mut aside, &mut batch);
         }
-        batch
+        batch.settled()
     }
 }
 

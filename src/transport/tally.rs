@@ -41,6 +41,8 @@ pub const ESCAPED: usize = 2;
 pub struct Batch {
     /// Sums.
     pub sums: Vec<f64>,
+    /// Energy by voxel of a dose map, keV, as it comes.
+    deposits: Vec<(u32, f64)>,
     pixels: usize,
     materials: usize,
 }
@@ -49,7 +51,7 @@ impl Batch {
     /// Nothing yet.
     #[must_use]
     pub fn new(pixels: usize, materials: usize) -> Self {
-        Self { sums: vec![0.0; PAGES * pixels + materials + FATES], pixels, materials }
+        Self { sums: vec![0.0; PAGES * pixels + materials + FATES], deposits: Vec::new(), pixels, materials }
     }
 
     /// A photon (or its expectation) on the detector.
@@ -62,6 +64,27 @@ impl Batch {
     #[inline]
     pub fn absorb(&mut self, material: u32, energy_kev: f64) {
         self.sums[PAGES * self.pixels + material as usize] += energy_kev;
+    }
+
+    /// Energy that stays in a voxel of a dose map.
+    #[inline]
+    pub fn deposit(&mut self, voxel: u32, energy_kev: f64) {
+        self.deposits.push((voxel, energy_kev));
+    }
+
+    /// Adds up what came into one voxel: a batch counts by the square of all that it brought there.
+    #[must_use]
+    pub fn settled(mut self) -> Self {
+        // Stable, so that sums are made in the order of the histories.
+        self.deposits.sort_by_key(|(voxel, _)| *voxel);
+        self.deposits.dedup_by(|later, first| {
+            let is_one = later.0 == first.0;
+            if is_one {
+                first.1 += later.1;
+            }
+            is_one
+        });
+        self
     }
 
     /// Energy that meets a fate.
@@ -82,6 +105,17 @@ pub struct Tally {
     squares: Vec<f64>,
     /// By pixel, squares of what all pages but the primary add up to.
     scatter_squares: Vec<f64>,
+    /// Where a dose map is made.
+    dose: Option<DoseSums>,
+}
+
+/// Energy by voxel of a dose map, and outside it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct DoseSums {
+    sums: Vec<f64>,
+    squares: Vec<f64>,
+    /// Squares of what all voxels add up to in a batch: what one holds another does not.
+    within_squares: f64,
 }
 
 /// A mean over histories with its standard error.
@@ -104,10 +138,18 @@ impl Tally {
             sums: vec![0.0; count],
             squares: vec![0.0; count],
             scatter_squares: vec![0.0; pixels],
+            dose: None,
         }
     }
 
-    /// Adds a batch. The order of batches decides the last bits, so it is that of their numbers.
+    /// The same with the sums of a dose map of so many voxels.
+    #[must_use]
+    pub fn with_dose(self, voxels: usize) -> Self {
+        let dose = DoseSums { sums: vec![0.0; voxels + 1], squares: vec![0.0; voxels + 1], within_squares: 0.0 };
+        Self { dose: Some(dose), ..self }
+    }
+
+    /// Adds a batch, settled. The order of batches decides the last bits, so it is that of their numbers.
     pub fn add(&mut self, batch: &Batch) {
         self.batches += 1;
         for ((sum, square), value) in self.sums.iter_mut().zip(&mut self.squares).zip(&batch.sums) {
@@ -118,6 +160,15 @@ impl Tally {
         for (pixel, square) in self.scatter_squares.iter_mut().enumerate() {
             *square += (1..PAGES).map(|page| batch.sums[page * pixels + pixel]).sum::<f64>().powi(2);
         }
+        if let Some(dose) = &mut self.dose {
+            let outside = dose.sums.len() - 1;
+            let within = batch.deposits.iter().filter(|(voxel, _)| *voxel as usize != outside);
+            dose.within_squares += within.map(|(_, energy_kev)| energy_kev).sum::<f64>().powi(2);
+            for (voxel, energy_kev) in &batch.deposits {
+                dose.sums[*voxel as usize] += energy_kev;
+                dose.squares[*voxel as usize] += energy_kev * energy_kev;
+            }
+        }
     }
 
     /// Histories so far.
@@ -126,11 +177,20 @@ impl Tally {
         self.batches * self.histories_per_batch
     }
 
-    /// Whether this has the sums of so many pixels and materials.
+    /// Whether this has as many sums of each kind as `other`.
     #[must_use]
-    pub fn fits(&self, pixels: usize, materials: usize) -> bool {
-        let count = PAGES * pixels + materials + FATES;
-        self.sums.len() == count && self.squares.len() == count && self.scatter_squares.len() == pixels
+    pub fn is_like(&self, other: &Self) -> bool {
+        let lengths = |tally: &Self| {
+            let dose = tally.dose.as_ref().map(|dose| [dose.sums.len(), dose.squares.len()]);
+            (tally.sums.len(), tally.squares.len(), tally.scatter_squares.len(), dose)
+        };
+        lengths(self) == lengths(other)
+    }
+
+    /// Voxels of its dose map; `None` where it makes none.
+    #[must_use]
+    pub fn dose_voxels(&self) -> Option<usize> {
+        self.dose.as_ref().map(|dose| dose.sums.len().saturating_sub(1))
     }
 
     fn pixels(&self) -> usize {
@@ -165,6 +225,23 @@ impl Tally {
         self.estimate(self.sums[index], self.squares[index])
     }
 
+    /// Energy per history that stayed in a voxel of the dose map, or with the number of its voxels outside it, keV; nothing without a map.
+    #[must_use]
+    pub fn deposited(&self, voxel: usize) -> Estimate {
+        let sums = self.dose.as_ref().and_then(|dose| Some((*dose.sums.get(voxel)?, *dose.squares.get(voxel)?)));
+        let (sum, square) = sums.unwrap_or_default();
+        self.estimate(sum, square)
+    }
+
+    /// Energy per history that stayed in all voxels of the dose map together, keV; nothing without a map.
+    #[must_use]
+    pub fn deposited_within(&self) -> Estimate {
+        let dose = self.dose.as_ref();
+        let sums = dose.and_then(|dose| Some((dose.sums.split_last()?.1.iter().sum::<f64>(), dose.within_squares)));
+        let (sum, square) = sums.unwrap_or_default();
+        self.estimate(sum, square)
+    }
+
     // A batch of n histories sums to B; the mean of N batches estimates E[B] with the standard error √((⟨B²⟩ − ⟨B⟩²)/(N − 1)).
     fn estimate(&self, sum: f64, sum_of_squares: f64) -> Estimate {
         let (batches, per_batch) = (self.batches as f64, self.histories_per_batch as f64);
@@ -192,5 +269,30 @@ mod tests {
         assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
         assert_eq!(tally.scatter(0), found);
         assert_eq!(tally.signal(Page::Primary, 0).mean, 0.0);
+    }
+
+    /// A voxel's error is that of what batches bring to it, however many deposits that is.
+    #[test]
+    fn deposits_of_a_batch_count_together() {
+        let mut tally = Tally::new(1, 1, 10).with_dose(2);
+        for values in [[1.5, 0.5], [1.0, 3.0], [4.0, 5.0]] {
+            let mut batch = Batch::new(1, 1);
+            batch.deposit(1, values[0]);
+            batch.deposit(2, 7.0);
+            batch.deposit(1, values[1]);
+            // In all ten.
+            batch.deposit(0, 10.0 - values[0] - values[1]);
+            tally.add(&batch.settled());
+        }
+        let found = tally.deposited(1);
+        // The textbook's numbers again: 2, 4 and 9.
+        assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
+        assert_eq!((tally.deposited(2).mean, tally.dose_voxels()), (0.7, Some(2)));
+        // Its neighbour has what a voxel lacks: they are uncertain, and their sum is not.
+        let (neighbour, within) = (tally.deposited(0), tally.deposited_within());
+        assert!((neighbour.standard_error - found.standard_error).abs() < 1e-12);
+        assert!((within.mean - 1.0).abs() < 1e-15 && within.standard_error < 1e-12, "{within:?}");
+        let other = Tally::new(1, 1, 10);
+        assert!(tally.is_like(&Tally::new(1, 1, 5).with_dose(2)) && !tally.is_like(&other) && other.dose_voxels().is_none());
     }
 }

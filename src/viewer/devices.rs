@@ -37,13 +37,7 @@ fn device(ui: &mut Ui, link: &Link, now_us: i64) {
     });
     let health = &link.health;
     let lost = health.lost_in_all();
-    let faults = [
-        ("lost", health.lost + health.missed_unplugged),
-        ("corrupt", health.corrupt),
-        ("duplicate", health.duplicate),
-        ("reordered", health.reordered),
-    ];
-    let told: Vec<String> = faults.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{n} {what}")).collect();
+    let told: Vec<String> = health.faults().map(|(count, what)| format!("{count} {what}")).collect();
     let told = if told.is_empty() { "none lost".to_owned() } else { told.join(", ") };
     ui.label(RichText::new(format!("{} samples, {told}", health.frames)).size(SMALL).color(if lost > 0 { CAUTION } else { DIM }));
     if let Some(clock) = &link.clock {

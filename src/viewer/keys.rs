@@ -67,10 +67,15 @@ impl Binding {
     }
 
     /// As it is listed.
-    fn label(&self) -> String {
+    pub(super) fn label(&self) -> String {
         let held = [(self.with.command, "Ctrl "), (self.with.shift, "Shift ")];
         let held: String = held.into_iter().filter(|(is_held, _)| *is_held).map(|(_, word)| word).collect();
-        format!("{held}{}", self.key.name())
+        let key = match self.key {
+            // Not every font has arrows.
+            Key::ArrowLeft | Key::ArrowRight | Key::ArrowUp | Key::ArrowDown => self.key.name(),
+            key => key.symbol_or_name(),
+        };
+        format!("{held}{key}")
     }
 }
 
@@ -291,5 +296,23 @@ mod tests {
             run(command, 0.0, &board, &mut state);
         }
         assert_eq!((state.selected, state.sight.zoom, state.player.is_playing()), (None, 1.0, false));
+    }
+
+    #[test]
+    fn the_documentation_names_every_key_with_what_it_does_and_no_other() {
+        let page = include_str!("../../docs/window.md");
+        let rows: Vec<&str> = page.lines().filter(|line| line.starts_with("| `")).collect();
+        let bindings: Vec<&Binding> = KEYS.iter().chain(&EDIT_KEYS).chain([&UNDO]).collect();
+        for binding in &bindings {
+            let key = format!("`{}`", binding.label());
+            let is_named = rows.iter().any(|row| row.contains(&key) && row.contains(binding.words));
+            assert!(is_named, "docs/window.md has no row of {key}: {}", binding.words);
+        }
+        let mut named = 0;
+        for key in rows.iter().flat_map(|row| row.split('|').nth(1).unwrap_or_default().split('`').skip(1).step_by(2)) {
+            assert!(bindings.iter().any(|binding| binding.label() == key), "docs/window.md has {key}, which does nothing");
+            named += 1;
+        }
+        assert!(named >= bindings.len(), "{named} keys in {} rows", rows.len());
     }
 }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use eframe::egui::{Color32, ColorImage, Context, TextureHandle, TextureOptions};
 
-use super::theme::{EDGE, WELL};
+use super::theme::{EDGE, WELL, rgb};
 use crate::image::Image;
 use crate::report::{self, SignedDifference};
 use crate::session::board::PairPictures;
 
-/// Which picture.
+/// Which picture; the acquired one is calm and dim behind the collimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Picture {
     Acquired,
@@ -60,10 +60,20 @@ impl PictureCache {
 }
 
 fn made(pictures: &PairPictures, picture: Picture, window: [f64; 2], most: usize) -> Option<ColorImage> {
-    let gray = |image: &Image<f32>, window: [f64; 2]| coloured(image, most, |at| gray(image.pixels[at], window));
     Some(match picture {
-        Picture::Acquired => gray(pictures.acquired(), window),
-        Picture::Drr => gray(pictures.simulated()?, pictures.drr_window(window)),
+        Picture::Acquired => {
+            let shut_off = pictures.shut_off();
+            let calm = report::calm(pictures.acquired(), shut_off, window);
+            let seen: &Image<f32> = &calm;
+            coloured(seen, most, |at| match shut_off.pixels[at] {
+                true => dim(gray(seen.pixels[at], window)),
+                false => gray(seen.pixels[at], window),
+            })
+        }
+        Picture::Drr => {
+            let (simulated, window) = (pictures.simulated()?, pictures.drr_window(window));
+            coloured(simulated, most, |at| gray(simulated.pixels[at], window))
+        }
         Picture::Difference => {
             let scale = pictures.difference.filter(|difference| difference.comparable)?;
             let (acquired, simulated, usable) = (pictures.acquired(), pictures.simulated()?, pictures.usable());
@@ -90,6 +100,11 @@ fn gray(value: f32, [low, high]: [f64; 2]) -> Color32 {
     }
     let share = (value - low as f32) / (high - low) as f32;
     Color32::from_gray((10.5 + 240.0 * share.clamp(0.0, 1.0)) as u8)
+}
+
+/// As [`report::dimmed`] has what is shut off.
+fn dim(colour: Color32) -> Color32 {
+    rgb(report::dimmed([colour.r(), colour.g(), colour.b()], 1.0))
 }
 
 fn signed(scale: &SignedDifference, acquired: f32, simulated: f32) -> Color32 {

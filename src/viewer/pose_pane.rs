@@ -44,7 +44,9 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
         row(ui, "drill tip", &format!("seen {u:+.1}, {v:+.1} ± {sigma_mm:.1} mm off").replace('-', "−"));
     }
     uncertainty(ui, view);
-    let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str);
+    // The reason stands above already.
+    let is_said = |words: &str| pair.reason.as_deref() == Some(words);
+    let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str).filter(|words| !is_said(words));
     let words: Vec<&str> = pair.robot_words().into_iter().chain(others).collect();
     for flag in words.iter().take(FLAGS) {
         ui.add(egui::Label::new(RichText::new(*flag).size(SMALL).color(CAUTION)).truncate()).on_hover_text(*flag);

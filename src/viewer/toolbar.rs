@@ -3,7 +3,7 @@
 use eframe::egui::{self, RichText, Ui};
 
 use super::editing::{EditCommand, words};
-use super::keys::{Command, KEYS, run};
+use super::keys::{Binding, Command, KEYS, run};
 use super::readout::under_cursor;
 use super::state::{Arrangement, Mark, Overlay, ViewState};
 use super::theme::{CAUTION, DIM, SMALL, TEXT};
@@ -14,6 +14,8 @@ use crate::session::board::BoardState;
 pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     let mut asked = None;
     ui.horizontal_wrapped(|ui| {
+        // In a window as wide as it opens, one line holds them all.
+        ui.spacing_mut().item_spacing.x = 3.0;
         for arrangement in Arrangement::ALL {
             button(ui, arrangement.word(), state.arrangement == arrangement, Command::Arrange(arrangement), &mut asked);
         }
@@ -36,9 +38,6 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             button(ui, "edit Ctrl E", state.editing.is_on(), toggle, &mut asked);
         }
         button(ui, "keys F1", state.shows_keys, Command::Keys, &mut asked);
-        if state.sight.zoom > 1.0 {
-            ui.label(RichText::new(format!("zoom {:.1}×", state.sight.zoom)).size(SMALL).color(DIM));
-        }
     });
     if let Some(command) = asked {
         run(command, ui.input(|input| input.time), board, state);
@@ -47,7 +46,7 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
 
 /// A button for what a key does; the key is said under the cursor.
 fn button(ui: &mut Ui, words: &str, chosen: bool, command: Command, asked: &mut Option<Command>) {
-    let key = KEYS.iter().find(|binding| binding.command == command).map(|binding| binding.key.name()).unwrap_or("");
+    let key = KEYS.iter().find(|binding| binding.command == command).map(Binding::label).unwrap_or_default();
     let response = ui.selectable_label(chosen, RichText::new(words).size(SMALL).color(if chosen { TEXT } else { DIM }));
     if response.on_hover_text(key).clicked() {
         *asked = Some(command);
@@ -67,6 +66,8 @@ pub(super) fn readout(ui: &mut Ui, board: &BoardState, state: &ViewState) {
         let unit = pair.map(|pair| pair.pictures.unit.clone()).unwrap_or_default();
         Some(format!("gray from {} to {} {unit}", short(low, high - low), short(high, high - low)))
     };
-    let words = told.or_else(idle).unwrap_or_default();
+    let zoom = (state.sight.zoom > 1.0).then(|| format!("zoom {:.1}×", state.sight.zoom));
+    let words: Vec<String> = [told.or_else(idle), zoom].into_iter().flatten().collect();
+    let words = words.join("  ·  ");
     ui.label(RichText::new(words).size(SMALL).color(TEXT));
 }

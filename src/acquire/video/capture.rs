@@ -1,25 +1,56 @@
-//! Pictures of a video, one after the other, in grey.
+//! Pictures of a video, one after the other, in grey: those that the program `sidecarm-video` reads.
+//!
+//! It is started with what is to be opened, and writes to its standard output, little-endian:
+//!
+//! | letter | what follows | meaning |
+//! |---|---|---|
+//! | `N` | nothing | it cannot be opened |
+//! | `O` | live, of differences (a byte each), pictures a second (f64) | it is open |
+//! | `P` | columns, rows (u32), a byte for each pixel | a picture |
+//! | `C` | channels (i32) | its pictures are neither grey nor in colour |
+//! | `E` | nothing | the end of a recording, or of what a device gives |
 
-#[cfg(feature = "vision")]
-pub(super) use with_opencv::Capture;
-#[cfg(not(feature = "vision"))]
-pub(super) use without::Capture;
+use std::io::{BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use crate::image::Image;
+
+/// The program, beside this one.
+const PROGRAM: &str = "sidecarm-video";
+
+/// No picture has more columns or rows.
+const MOST_PX: u32 = 16_384;
 
 /// Why there is no video.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum CaptureError {
-    /// This build has no OpenCV.
-    #[cfg(not(feature = "vision"))]
-    #[error("this build cannot read video: build it with the feature `vision` (OpenCV)")]
-    NoVision,
+    /// The program that reads it is not there, or does not start.
+    #[error(
+        "the program sidecarm-video, which reads video, cannot be started ({detail}): it belongs beside sidecarm, `cargo build` makes it \
+         where OpenCV is"
+    )]
+    Program {
+        /// Why.
+        detail: String,
+    },
+    /// It ended in the middle.
+    #[error("the program sidecarm-video, which reads it, has ended in the middle of it")]
+    Died,
+    /// Pictures that no device gives.
+    #[error("its pictures have {width} x {height} pixels, expected 1 to 16384 each way")]
+    Size {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
     /// Nothing opens it.
-    #[cfg(feature = "vision")]
     #[error(
         "it cannot be opened as a video: check that it is there, that no other program has it, and that its format is known to OpenCV"
     )]
     Open,
     /// Pictures that are none.
-    #[cfg(feature = "vision")]
     #[error("its pictures have {channels} channels, expected grey or colour of 8 bits")]
     Channels {
         /// As found.
@@ -27,113 +58,100 @@ pub(super) enum CaptureError {
     },
 }
 
-#[cfg(feature = "vision")]
-mod with_opencv {
-    use opencv::core::{Mat, MatTraitConst, MatTraitConstManual, Vec3b};
-    use opencv::videoio::{
-        CAP_ANY, CAP_PROP_FOURCC, CAP_PROP_FPS, CAP_V4L2, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
-    };
+/// An open video.
+pub(super) struct Capture {
+    child: Child,
+    said: BufReader<ChildStdout>,
+    is_live: bool,
+    is_of_differences: bool,
+    per_s: f64,
+    is_over: bool,
+}
 
-    use super::CaptureError;
-    use crate::image::Image;
-
-    /// Pictures a second of a recording that does not say it.
-    const USUAL_PER_S: f64 = 25.0;
-
-    /// Recordings whose pictures are told as differences from others, by the first letters of their four.
-    const OF_DIFFERENCES: [&str; 13] =
-        ["h26", "x26", "avc", "hev", "hvc", "mp4", "fmp4", "xvi", "div", "dx5", "mpg", "vp", "av0"];
-
-    /// An open video.
-    pub(in super::super) struct Capture {
-        video: VideoCapture,
-        picture: Mat,
-        is_live: bool,
-        per_s: f64,
-    }
-
-    impl Capture {
-        /// Opens a device (by its path or number), a file, or a stream.
-        pub(in super::super) fn open(from: &str) -> Result<Self, CaptureError> {
-            let path = if from.bytes().all(|byte| byte.is_ascii_digit()) { format!("/dev/video{from}") } else { from.to_owned() };
-            let backend = if path.starts_with("/dev/video") && cfg!(target_os = "linux") { CAP_V4L2 } else { CAP_ANY };
-            let is_live = !std::path::Path::new(&path).is_file();
-            let video = VideoCapture::from_file(&path, backend).map_err(|_| CaptureError::Open)?;
-            if !video.is_opened().unwrap_or(false) {
-                return Err(CaptureError::Open);
-            }
-            let per_s = video.get(CAP_PROP_FPS).ok().filter(|per_s| (1.0..=1000.0).contains(per_s)).unwrap_or(USUAL_PER_S);
-            Ok(Self { video, picture: Mat::default(), is_live, per_s })
-        }
-
-        /// Pictures come when they are made, and without end: a device, a pipe, a stream.
-        pub(in super::super) fn is_live(&self) -> bool {
-            self.is_live
-        }
-
-        /// Pictures a second, as the video says.
-        pub(in super::super) fn per_s(&self) -> f64 {
-            self.per_s
-        }
-
-        /// Whether its pictures are compressed as differences: a recording's may be, a device's are not.
-        pub(in super::super) fn is_of_differences(&self) -> bool {
-            let code = self.video.get(CAP_PROP_FOURCC).unwrap_or(0.0) as u32;
-            let letters = String::from_utf8_lossy(&code.to_le_bytes()).to_ascii_lowercase();
-            !self.is_live && OF_DIFFERENCES.iter().any(|start| letters.starts_with(start))
-        }
-
-        /// The next picture; `None` at the end of a file, or when the device gives none.
-        pub(in super::super) fn next(&mut self) -> Result<Option<Image<u8>>, CaptureError> {
-            if !self.video.read(&mut self.picture).unwrap_or(false) || self.picture.empty() {
-                return Ok(None);
-            }
-            let channels = self.picture.channels();
-            let wrong = CaptureError::Channels { channels };
-            let [width, height] = [self.picture.cols(), self.picture.rows()].map(|n| n.unsigned_abs() as usize);
-            let pixels = match channels {
-                1 => self.picture.data_typed::<u8>().map_err(|_| wrong.clone())?.to_vec(),
-                3 => self.picture.data_typed::<Vec3b>().map_err(|_| wrong.clone())?.iter().map(grey).collect(),
-                _ => return Err(wrong),
-            };
-            Image::from_pixels(width, height, pixels).map(Some).ok_or(wrong)
-        }
-    }
-
-    /// Luma of blue, green and red (ITU-R BT.601), exact where all three are alike.
-    fn grey(colour: &Vec3b) -> u8 {
-        let [blue, green, red] = colour.0.map(u32::from);
-        ((29 * blue + 150 * green + 77 * red + 128) >> 8) as u8
+impl Drop for Capture {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
-#[cfg(not(feature = "vision"))]
-mod without {
-    use super::CaptureError;
-    use crate::image::Image;
+/// Beside this program, or in the folder above, where this one is a test.
+fn program() -> std::io::Result<PathBuf> {
+    let own = std::env::current_exe()?;
+    let folder = own.parent().filter(|folder| folder.ends_with("deps")).unwrap_or(&own);
+    Ok(folder.with_file_name(format!("{PROGRAM}{}", std::env::consts::EXE_SUFFIX)))
+}
 
-    /// Never there.
-    pub(in super::super) enum Capture {}
-
-    impl Capture {
-        pub(in super::super) fn open(_from: &str) -> Result<Self, CaptureError> {
-            Err(CaptureError::NoVision)
+impl Capture {
+    /// Opens a device (by its path or number), a file, or a stream.
+    pub(super) fn open(from: &str) -> Result<Self, CaptureError> {
+        let not_started = |error: std::io::Error| CaptureError::Program { detail: error.kind().to_string() };
+        let mut command = Command::new(program().map_err(not_started)?);
+        command.arg(from).stdin(Stdio::piped()).stdout(Stdio::piped());
+        // What is less than a warning OpenCV writes to standard output, among the pictures.
+        command.env("OPENCV_LOG_LEVEL", "WARNING");
+        // Ctrl-C in the terminal is meant for this program.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command.spawn().map_err(not_started)?;
+        let out = child.stdout.take().ok_or(CaptureError::Died)?;
+        let (said, is_over) = (BufReader::new(out), false);
+        let mut capture = Self { child, said, is_live: false, is_of_differences: false, per_s: 0.0, is_over };
+        match capture.read()? {
+            [b'O'] => {
+                let [is_live, is_of_differences] = capture.read()?;
+                (capture.is_live, capture.is_of_differences) = (is_live != 0, is_of_differences != 0);
+                capture.per_s = f64::from_le_bytes(capture.read()?);
+                Ok(capture)
+            }
+            [b'N'] => Err(CaptureError::Open),
+            _ => Err(CaptureError::Died),
         }
+    }
 
-        pub(in super::super) fn is_live(&self) -> bool {
-            match *self {}
+    fn read<const N: usize>(&mut self) -> Result<[u8; N], CaptureError> {
+        let mut bytes = [0; N];
+        self.said.read_exact(&mut bytes).map_err(|_| CaptureError::Died)?;
+        Ok(bytes)
+    }
+
+    /// Pictures come when they are made, and without end: a device, a pipe, a stream.
+    pub(super) fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    /// Pictures a second, as the video says.
+    pub(super) fn per_s(&self) -> f64 {
+        self.per_s
+    }
+
+    /// Whether its pictures are compressed as differences: a recording's may be, a device's are not.
+    pub(super) fn is_of_differences(&self) -> bool {
+        self.is_of_differences
+    }
+
+    /// The next picture; `None` at the end of a file, or when the device gives none.
+    pub(super) fn next(&mut self) -> Result<Option<Image<u8>>, CaptureError> {
+        if self.is_over {
+            return Ok(None);
         }
-
-        pub(in super::super) fn per_s(&self) -> f64 {
-            match *self {}
-        }
-
-        pub(in super::super) fn is_of_differences(&self) -> bool {
-            match *self {}
-        }
-
-        pub(in super::super) fn next(&mut self) -> Result<Option<Image<u8>>, CaptureError> {
-            match *self {}
+        match self.read()? {
+            [b'P'] => {
+                let [width, height] = [u32::from_le_bytes(self.read()?), u32::from_le_bytes(self.read()?)];
+                if [width, height].iter().any(|edge| !(1..=MOST_PX).contains(edge)) {
+                    return Err(CaptureError::Size { width, height });
+                }
+                let [width, height] = [width, height].map(|edge| edge as usize);
+                let mut pixels = vec![0; width * height];
+                self.said.read_exact(&mut pixels).map_err(|_| CaptureError::Died)?;
+                Ok(Image::from_pixels(width, height, pixels))
+            }
+            [b'C'] => Err(CaptureError::Channels { channels: i32::from_le_bytes(self.read()?) }),
+            [b'E'] => {
+                self.is_over = true;
+                Ok(None)
+            }
+            _ => Err(CaptureError::Died),
         }
     }
 }

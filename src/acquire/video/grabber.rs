@@ -17,10 +17,6 @@ use crate::time::{Stopwatch, host_now_us};
 
 /// A device that gives nothing is asked again so often.
 const AGAIN: Duration = Duration::from_millis(500);
-/// Pictures that fail in a row until a device counts as gone.
-const FAILURES: u32 = 10;
-/// Between two of them.
-const SHORTLY: Duration = Duration::from_millis(20);
 /// A device that has given no picture for so long is silent, though its driver still waits for one.
 const SILENT: Duration = Duration::from_secs(3);
 /// How often is looked whether it is all over.
@@ -323,18 +319,7 @@ impl Grabbing<'_> {
 fn read_on(mut capture: Capture) -> Receiver<Result<Image<u8>, CaptureError>> {
     let (sender, pictures) = sync_channel(AHEAD);
     std::thread::spawn(move || {
-        let mut failures = 0;
-        while failures < FAILURES {
-            let picture = match capture.next().transpose() {
-                Some(picture) => picture,
-                None if capture.is_live() => {
-                    failures += 1;
-                    std::thread::sleep(SHORTLY);
-                    continue;
-                }
-                None => return,
-            };
-            failures = 0;
+        while let Some(picture) = capture.next().transpose() {
             let is_last = picture.is_err();
             if sender.send(picture).is_err() || is_last {
                 return;
@@ -346,12 +331,5 @@ fn read_on(mut capture: Capture) -> Receiver<Result<Image<u8>, CaptureError>> {
 
 /// Waiting does not help.
 fn is_final(error: &CaptureError) -> bool {
-    match error {
-        #[cfg(not(feature = "vision"))]
-        CaptureError::NoVision => true,
-        #[cfg(feature = "vision")]
-        CaptureError::Channels { .. } => true,
-        #[cfg(feature = "vision")]
-        CaptureError::Open => false,
-    }
+    matches!(error, CaptureError::Program { .. } | CaptureError::Channels { .. } | CaptureError::Size { .. })
 }

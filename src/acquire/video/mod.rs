@@ -4,7 +4,8 @@
 //! capture (OpenCV) ─ crop ─ what stands still and is new ─ mean of the pictures that stood ─ DICOM file in the watched folder
 //! ```
 //! A monitor shows a picture until the next one: what stands still is a frame, at the time at which it began to stand. Grabbing runs in a
-//! process of its own, because drivers and decoders hang and crash; whoever watches the folder reads its files like all others.
+//! process of its own, and capture in another, the program `sidecarm-video`, because drivers and decoders hang and crash; whoever watches
+//! the folder reads its files like all others.
 
 mod blocks;
 mod capture;

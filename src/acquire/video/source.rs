@@ -53,7 +53,7 @@ impl Process {
         let mut command = Command::new(program);
         command.args(["grab", &wanted.settings.from, "--settings", &settings, "--json", "--attended", "--into"]);
         command.arg(&wanted.path).args(more).args(wanted.include_first.then_some("--include-first"));
-        command.env("RUST_BACKTRACE", "0").env("OPENCV_LOG_LEVEL", "OFF").env("OPENCV_FFMPEG_LOGLEVEL", "-8");
+        command.env("RUST_BACKTRACE", "0").env("OPENCV_FFMPEG_LOGLEVEL", "-8");
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Ctrl-C in the terminal is meant for the session.
         #[cfg(unix)]

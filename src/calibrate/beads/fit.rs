@@ -139,7 +139,7 @@ impl Problem<'_> {
         at[3] = start.mass_hu_mm3.ln();
         at[4] = start.radius_mm.ln();
         at[5] = start.blur_mm.ln();
-        let mut cost = self.cost(&at, origin);
+        let (mut cost, mut gradient, mut curvature) = self.normal(&at, origin);
         let mut steps = SmallSteps { damping: 1e-2, lower: 0.2, raise: 5.0, most: 1e8, attempts: usize::MAX };
         // Half a millimetre, or a factor of 1.6, at a time: farther than that the linear model says little.
         let held = |step: &Vector| {
@@ -147,15 +147,15 @@ impl Problem<'_> {
             if largest > 0.5 { step * (0.5 / largest) } else { *step }
         };
         for _ in 0..MOST_STEPS {
-            let (gradient, curvature) = self.normal(&at, origin);
-            let mut tried_cost = cost;
+            // What is tried is looked at once: of a step that is taken, what comes next is known already.
+            let mut tried = (cost, gradient, curvature);
             let taken = steps.take(&curvature, &-gradient, |step| {
-                tried_cost = self.cost(&(at + held(step)), origin);
-                tried_cost <= cost
+                tried = self.normal(&(at + held(step)), origin);
+                tried.0 <= cost
             });
             let Some(step) = taken.map(|step| held(&step)) else { break };
             at += step;
-            cost = tried_cost;
+            (cost, gradient, curvature) = tried;
             if step.rows(0, 3).amax() < 2e-5 && step.rows(3, 3).amax() < 1e-3 {
                 break;
             }
@@ -226,42 +226,29 @@ impl Problem<'_> {
         ]
     }
 
-    fn cost(&self, at: &Vector, origin: DVec3) -> f64 {
+    /// The cost, its gradient and its curvature.
+    fn normal(&self, at: &Vector, origin: DVec3) -> (f64, Vector, Matrix) {
         let sigma = self.sigma_hu();
-        let data: f64 = self
-            .rows(at, origin)
-            .map(|row| {
-                let z = row.residual / sigma;
-                match row.clipped {
-                    true => censored(z).0,
-                    false if z.abs() > HUBER_SIGMAS => HUBER_SIGMAS * (z.abs() - 0.5 * HUBER_SIGMAS),
-                    false => 0.5 * z * z,
-                }
-            })
-            .sum();
-        data + self.prior_rows(at).iter().map(|(z, _)| 0.5 * z * z).sum::<f64>()
-    }
-
-    /// Gradient and curvature of the cost.
-    fn normal(&self, at: &Vector, origin: DVec3) -> (Vector, Matrix) {
-        let sigma = self.sigma_hu();
-        let (mut gradient, mut curvature) = (Vector::zeros(), Matrix::zeros());
+        let (mut cost, mut gradient, mut curvature) = (0.0, Vector::zeros(), Matrix::zeros());
         for row in self.rows(at, origin) {
+            cost += row.cost(sigma);
             let (slope, bend) = row.weights(sigma);
             if slope != 0.0 || bend != 0.0 {
                 gradient.axpy(slope, &row.by, 1.0);
                 curvature.ger(bend, &row.by, &row.by, 1.0);
             }
         }
-        for (z, by) in self.prior_rows(at) {
+        let priors = self.prior_rows(at);
+        cost += priors.iter().map(|(z, _)| 0.5 * z * z).sum::<f64>();
+        for (z, by) in priors {
             gradient.axpy(z, &by, 1.0);
             curvature.ger(1.0, &by, &by, 1.0);
         }
-        (gradient, curvature)
+        (cost, gradient, curvature)
     }
 
     fn describe(&self, at: &Vector, origin: DVec3) -> Option<Fitted> {
-        let (_, curvature) = self.normal(at, origin);
+        let (_, _, curvature) = self.normal(at, origin);
         let inverse = curvature.cholesky()?.inverse();
         let rows: Vec<Row> = self.rows(at, origin).collect();
         let covariance = inverse + inverse * self.shared(&rows) * inverse;
@@ -339,6 +326,15 @@ impl Problem<'_> {
 }
 
 impl Row {
+    fn cost(&self, sigma: f64) -> f64 {
+        let z = self.residual / sigma;
+        match self.clipped {
+            true => censored(z).0,
+            false if z.abs() > HUBER_SIGMAS => HUBER_SIGMAS * (z.abs() - 0.5 * HUBER_SIGMAS),
+            false => 0.5 * z * z,
+        }
+    }
+
     /// First derivative of this row's cost by its residual, and the weight that stands for the second.
     fn weights(&self, sigma: f64) -> (f64, f64) {
         let z = self.residual / sigma;

@@ -1,6 +1,7 @@
 //! A shot, and the residual of its beads against arm, joints and the specimen's place in the room.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
+use nalgebra::Matrix2;
 
 use super::parameters::{Parameter, moved};
 use crate::estimate::{BlockId, Evaluation, PoseBlock, Residual, State, VectorBlock, turned};
@@ -15,8 +16,10 @@ pub struct ShotBead {
     pub lps_mm: DVec3,
     /// Where it was seen.
     pub image_px: DVec2,
-    /// Standard deviation per axis.
-    pub sigma_px: f64,
+    /// Covariance of `image_px`: uu, uv, vv.
+    pub noise_px2: [f64; 3],
+    /// Covariance of `lps_mm`, positive definite.
+    pub place_mm2: DMat3,
 }
 
 /// A frame with its beads and the joints at its exposure.
@@ -136,8 +139,10 @@ impl Residual for ShotBeads<'_> {
             }
             let seen = k.project(p);
             out.offset()[2 * b..2 * b + 2].copy_from_slice(&(bead.image_px - seen).to_array());
-            for row in [2 * b, 2 * b + 1] {
-                out.information()[row * n + row] = bead.sigma_px.powi(-2);
+            let [uu, uv, vv] = bead.noise_px2;
+            let Some(information) = Matrix2::new(uu, uv, uv, vv).try_inverse() else { return false };
+            for (row, column) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                out.information()[(2 * b + column) * n + 2 * b + row] = information[(row, column)];
             }
             let (x, y) = (p.x / p.z, p.y / p.z);
             // Rows of ∂(u, v)/∂p and ∂(u, v)/∂(f, cx, cy).

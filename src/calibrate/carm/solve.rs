@@ -8,7 +8,6 @@ use nalgebra::DMatrix;
 use super::Sensors;
 use super::parameters::{Parameter, moved};
 use super::shot::{JOINTS, Shot, ShotBeads};
-use crate::beads::DEFAULT_SIGMA_MM;
 use crate::estimate::{BeadImage, EstimateError, Freedom, Loss, Place, Problem, Reading, Settings, VectorBlock};
 use crate::geometry::{CarmCalibration, CarmCalibrationError, CarmJoints, Intrinsics, Rigid};
 
@@ -73,9 +72,8 @@ pub(super) fn solve(
     let mut places: BTreeMap<&str, VectorBlock> = BTreeMap::new();
     for bead in shots.iter().flat_map(|shot| &shot.beads) {
         if !places.contains_key(bead.name.as_str()) {
-            let at = bead.lps_mm.to_array();
-            let place = problem.vector("bead", &at, Freedom::All);
-            problem.add(Reading::with_sigmas(place, &at, &[DEFAULT_SIGMA_MM; 3]), Loss::None);
+            let place = problem.vector("bead", &bead.lps_mm.to_array(), Freedom::All);
+            problem.add(Reading::of_place(place, bead.lps_mm, &bead.place_mm2), Loss::None);
             places.insert(&bead.name, place);
         }
     }
@@ -115,13 +113,8 @@ pub(super) fn by_beads(shot: &Shot, intrinsics: &Intrinsics) -> Result<Rigid, Es
     let Intrinsics { fx, fy, skew, cx, cy } = *intrinsics;
     let k = problem.vector("intrinsics", &[fx, fy, skew, cx, cy], Freedom::Constant);
     for bead in &shot.beads {
-        let place = Place::Known {
-            body_mm: bead.lps_mm,
-            covariance_mm2: glam::DMat3::from_diagonal(DVec3::splat(DEFAULT_SIGMA_MM.powi(2))),
-            share: 1.0,
-        };
-        let variance = bead.sigma_px.powi(2);
-        problem.add(BeadImage::new(camera, k, place, bead.image_px, [variance, 0.0, variance]), Loss::None);
+        let place = Place::Known { body_mm: bead.lps_mm, covariance_mm2: bead.place_mm2, share: 1.0 };
+        problem.add(BeadImage::new(camera, k, place, bead.image_px, bead.noise_px2), Loss::None);
     }
     Ok(*problem.solve(&Settings::default())?.state().pose(camera))
 }
@@ -159,5 +152,135 @@ impl CameraError {
             attitude_deg: predicted.0.angle_to_rad(seen.0).to_degrees(),
             isocentre_mm: (in_predicted - in_seen).to_array(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DQuat};
+    use nalgebra::DVector;
+
+    use super::super::shot::ShotBead;
+    use super::*;
+    use crate::estimate::{about, deviation};
+    use crate::random::{Purpose, Stream};
+
+    /// Beads of a CT of thick slices, along its axes.
+    const PLACE_MM: DVec3 = DVec3::new(0.05, 0.05, 0.8);
+    /// Shadows that moved while the beam was on: along their way and across it.
+    const SHADOW_PX: [f64; 2] = [0.3, 0.04];
+    const SENSORS: Sensors = Sensors { sigma_deg: 0.02, sigma_mm: 0.1 };
+    const DRAWS: u64 = 16;
+
+    fn nominal() -> CarmCalibration {
+        serde_json::from_str(include_str!("../../../calibration/carm/nominal-mobile.json")).expect("a calibration of the project")
+    }
+
+    /// An arm of a few unknowns, drawn from their priors, and its shots; all else is off by what is stated of it.
+    struct Drawn {
+        parameters: Vec<Parameter>,
+        carm: CarmCalibration,
+        world_from_lps: Rigid,
+        shots: Vec<Shot>,
+    }
+
+    impl Drawn {
+        fn new(seed: u64) -> Self {
+            let mut random = Stream::new(seed, 61, 0, Purpose::Evaluation);
+            let mut carm = nominal();
+            let is_unknown = |parameter: &Parameter| {
+                let lengths = ["source_to_isocentre_mm", "offsets.source_to_detector_mm"];
+                lengths.contains(&parameter.key.as_str()) || parameter.key.starts_with("principal_point_px")
+            };
+            let parameters: Vec<Parameter> = Parameter::all(carm.pitch_mm).into_iter().filter(is_unknown).collect();
+            parameters.iter().for_each(|parameter| parameter.shift(&mut carm, random.normal()));
+            // About the isocentre, the slices across the axis of the orbit.
+            let translation_mm = DVec3::new(805.0, -4.0, 1022.0);
+            let world_from_lps = Rigid { rotation: DQuat::from_rotation_x(1.5), translation_mm };
+            let mut beads: Vec<(DVec3, DVec3)> = Vec::new();
+            for _ in 0..8 {
+                let mut normal = || DVec3::new(random.normal(), random.normal(), random.normal());
+                let truth = normal().normalize() * 60.0;
+                beads.push((truth, truth + normal() * PLACE_MM));
+            }
+            let mut shots = Vec::new();
+            for n in 0..10 {
+                let mut within = |half: f64| half * (2.0 * random.uniform() - 1.0);
+                let orbital_deg: f64 = -81.0 + 18.0 * n as f64 + within(5.0);
+                let angulation_deg: f64 = [-20.0, 20.0, 0.0][n % 3] + within(4.0);
+                let [lift_mm, longitudinal_mm] = [20.0 + within(10.0), within(20.0)];
+                let truth = [lift_mm, 0.05, longitudinal_mm, angulation_deg.to_radians(), orbital_deg.to_radians(), 0.1, 1020.0];
+                let mut read = truth;
+                read.iter_mut().zip(SENSORS.sigmas()).for_each(|(joint, sigma)| *joint += sigma * random.normal());
+                let seen = predicted(&carm, &world_from_lps, &CarmJoints::from_array(truth));
+                let (camera_from_lps, k) = seen.expect("all joints");
+                let along = DVec2::from_angle(0.6 * n as f64);
+                let [long, short] = SHADOW_PX;
+                let (wide, least) = (long * long - short * short, short * short);
+                let noise_px2 = [least + wide * along.x * along.x, wide * along.x * along.y, least + wide * along.y * along.y];
+                let bead = |(b, (truth, stated)): (usize, &(DVec3, DVec3))| {
+                    let noise = along * (long * random.normal()) + along.perp() * (short * random.normal());
+                    ShotBead {
+                        name: format!("bead-{b}"),
+                        lps_mm: *stated,
+                        image_px: k.project(camera_from_lps.transform_point(*truth)) + noise,
+                        noise_px2,
+                        place_mm2: DMat3::from_diagonal(PLACE_MM * PLACE_MM),
+                    }
+                };
+                let beads = beads.iter().enumerate().map(bead).collect();
+                let joints = CarmJoints::from_array(read);
+                shots.push(Shot { name: format!("shot-{n}"), size_px: [1536, 1536], joints, beads, camera_from_lps });
+            }
+            Self { parameters, carm, world_from_lps, shots }
+        }
+
+        /// The same shots, all that is known of places and shadows being alike along all directions, and as much in the mean.
+        fn alike(&self) -> Vec<Shot> {
+            let mut shots = self.shots.clone();
+            for bead in shots.iter_mut().flat_map(|shot| &mut shot.beads) {
+                let [uu, _, vv] = bead.noise_px2;
+                bead.noise_px2 = [0.5 * (uu + vv), 0.0, 0.5 * (uu + vv)];
+                bead.place_mm2 = DMat3::from_diagonal(DVec3::splat(PLACE_MM.length_squared() / 3.0));
+            }
+            shots
+        }
+
+        fn solved(&self, shots: &[Shot]) -> Solution {
+            let shots: Vec<&Shot> = shots.iter().collect();
+            solve(&shots, &nominal(), &self.parameters, &SENSORS).expect("they tell an arm")
+        }
+
+        /// What is off, in the order of [`Solution::covariance`].
+        fn off(&self, found: &Solution) -> DVector<f64> {
+            let of = |own: &Parameter| (own.value(&self.carm) - own.value(&found.calibration)) / own.prior_sigma;
+            let centre = found.world_from_lps.transform_point(found.pivot_lps_mm);
+            let tie = about(centre) * deviation(&self.world_from_lps, &found.world_from_lps);
+            let count = self.parameters.len() + 6;
+            DVector::from_iterator(count, self.parameters.iter().map(of).chain(tie.iter().copied()))
+        }
+    }
+
+    /// The truth, arm and place in the room, lies as far off as is stated, over draws.
+    #[test]
+    fn what_is_stated_holds_where_beads_are_known_far_worse_along_one_axis() {
+        let (mut own, mut alike, mut numbers) = (0.0, 0.0, 0.0);
+        for seed in 0..DRAWS {
+            let drawn = Drawn::new(seed);
+            let found = drawn.solved(&drawn.shots);
+            let stated = found.covariance.clone().cholesky().expect("positive definite");
+            let sigmas2 = |found: &Solution| {
+                let off = drawn.off(found);
+                off.dot(&stated.solve(&off))
+            };
+            own += sigmas2(&found);
+            alike += sigmas2(&drawn.solved(&drawn.alike()));
+            numbers += found.covariance.nrows() as f64;
+        }
+        // χ² of n numbers scatters by √(2 n) about n; 4.5 times that is accident once in some 100 000 times.
+        let most = 4.5 * (2.0 * numbers).sqrt();
+        assert!((own - numbers).abs() < most, "{own} of {numbers} ± {most}");
+        // The control: weights that are alike along all directions put the same shots further off than these state.
+        assert!(alike > 3.0 * numbers, "{alike} of {numbers}");
     }
 }

@@ -1,7 +1,7 @@
 //! Which air frames agree with each other, and the signal that they give per mAs, pixel by pixel.
 
-use super::error::{DetectorError, kvp_words};
-use super::groups::{Group, median, median_and_deviation};
+use super::error::DetectorError;
+use super::groups::{Beam, Group, median, median_and_deviation};
 use super::measurement::PanelFrame;
 use super::offset::Offset;
 use super::surface::Surface;
@@ -16,9 +16,9 @@ pub(super) struct Level<'a> {
     pub frames: Vec<&'a PanelFrame>,
 }
 
-/// Frames of one tube voltage that agree.
+/// Frames of one beam that agree.
 pub(super) struct Consistent<'a> {
-    pub kvp: Option<f64>,
+    pub beam: Beam,
     pub source_to_detector_mm: Option<f64>,
     /// Ascending.
     pub levels: Vec<Level<'a>>,
@@ -92,7 +92,7 @@ pub(super) fn consistent<'a>(group: &Group<'a>, offset: &Offset) -> Result<Consi
         let label = |entry: Option<&(&PanelFrame, f64)>| entry.map(|(frame, _)| frame.label.clone()).unwrap_or_default();
         let ends = [most, least].map(|entry| entry.and_then(per_mas).unwrap_or(f64::NAN));
         return Err(DetectorError::NotProportional {
-            kvp: kvp_words(group.kvp),
+            beam: group.beam.words(),
             scatter: 100.0 * (ends[0] / ends[1] - 1.0),
             most: label(most),
             least: label(least),
@@ -108,7 +108,7 @@ pub(super) fn consistent<'a>(group: &Group<'a>, offset: &Offset) -> Result<Consi
         return Err(DetectorError::TooManyOutliers {
             found: outliers.len(),
             of: frames.len(),
-            kvp: kvp_words(group.kvp),
+            beam: group.beam.words(),
             first: outliers[0].1.clone(),
         });
     }
@@ -124,7 +124,7 @@ pub(super) fn consistent<'a>(group: &Group<'a>, offset: &Offset) -> Result<Consi
     let distances: Vec<f64> = frames.iter().filter_map(|(frame, _)| frame.source_to_detector_mm).collect();
     let source_to_detector_mm = (!distances.is_empty()).then(|| median_and_deviation(&distances).0);
     Ok(Consistent {
-        kvp: group.kvp,
+        beam: group.beam.clone(),
         source_to_detector_mm,
         levels: levels(frames),
         saturated: group.saturated.clone(),
@@ -276,7 +276,7 @@ fn refuse_objects(group: &Consistent, share: &Image<f32>, smooth: &Image<f32>, b
             let n = found.len();
             let sum = found.iter().fold((0, 0, 0.0), |(u, v, c), &at| (u + at % width, v + at / width, c + change(at)));
             return Err(DetectorError::Object {
-                kvp: kvp_words(group.kvp),
+                beam: group.beam.words(),
                 column: sum.0 / n,
                 row: sum.1 / n,
                 change: 100.0 * sum.2 / n as f64,

@@ -43,21 +43,34 @@ pub enum DetectorError {
         detail: String,
     },
     /// Some frames state a quantity and others do not.
-    #[error("{label} does not state its {what}, others do; state it for all (--kvp, --mas) or leave the frame out")]
+    #[error(
+        "{label} does not state its {what}, others do; state it for all (--kvp, --mas, --added-filter) or leave the frame out"
+    )]
     NotStated {
         /// The frame.
         label: String,
         /// Which quantity.
         what: &'static str,
     },
+    /// A total that cannot be one.
+    #[error(
+        "--filter names {material}, all of it that is in the beam, and the air frames have {filters}: leave {material} out of --filter, what \
+         frames state comes on top"
+    )]
+    Filtration {
+        /// The material.
+        material: &'static str,
+        /// Of all beams, in words.
+        filters: String,
+    },
     /// The signal is not proportional to the exposure.
     #[error(
-        "at {kvp}, the signal per mAs scatters by {scatter:.0} % between frames ({most} and {least}): different tube voltages, filters or \
+        "at {beam}, the signal per mAs scatters by {scatter:.0} % between frames ({most} and {least}): different tube voltages, filters or \
          distances in one set? calibrate them apart"
     )]
     NotProportional {
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
         /// Largest over smallest, less 1, percent.
         scatter: f64,
         /// The frame with the most signal per mAs.
@@ -66,33 +79,33 @@ pub enum DetectorError {
         least: String,
     },
     /// Nothing but saturated frames.
-    #[error("every air frame at {kvp} is saturated ({share:.1} % of the pixels at the end of the scale); lower the exposure")]
+    #[error("every air frame at {beam} is saturated ({share:.1} % of the pixels at the end of the scale); lower the exposure")]
     Saturated {
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
         /// Least share, percent.
         share: f64,
     },
     /// Too many frames disagree with each other.
-    #[error("{found} of {of} air frames at {kvp} differ from the others ({first}); take them again with nothing in the beam")]
+    #[error("{found} of {of} air frames at {beam} differ from the others ({first}); take them again with nothing in the beam")]
     TooManyOutliers {
         /// How many.
         found: usize,
         /// Of how many.
         of: usize,
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
         /// What is wrong with the first.
         first: String,
     },
     /// A thing in the beam of all frames.
     #[error(
-        "something stands in the beam of every air frame at {kvp}, near column {column}, row {row} (signal {change:+.0} %, {pixels} \
+        "something stands in the beam of every air frame at {beam}, near column {column}, row {row} (signal {change:+.0} %, {pixels} \
          pixels); remove it and take them again"
     )]
     Object {
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
         /// Where.
         column: usize,
         /// Where.
@@ -103,18 +116,18 @@ pub enum DetectorError {
         pixels: usize,
     },
     /// Not two frames of one exposure.
-    #[error("no exposure level at {kvp} has two usable frames: the gain comes from pairs; take at least two per level")]
+    #[error("no exposure level at {beam} has two usable frames: the gain comes from pairs; take at least two per level")]
     NoPairs {
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
     },
     /// Variance does not rise with the mean.
     #[error(
-        "at {kvp}, the variance does not rise with the mean (slope {slope:.3e}): are these stored values linear and not smoothed?"
+        "at {beam}, the variance does not rise with the mean (slope {slope:.3e}): are these stored values linear and not smoothed?"
     )]
     NoTransfer {
-        /// Tube voltage, in words.
-        kvp: String,
+        /// Tube voltage and filter, in words.
+        beam: String,
         /// Found.
         slope: f64,
     },
@@ -126,9 +139,4 @@ pub enum DetectorError {
         /// Why.
         detail: String,
     },
-}
-
-/// `90 kVp`, or that it is not stated.
-pub(super) fn kvp_words(kvp: Option<f64>) -> String {
-    kvp.map_or_else(|| "a tube voltage that is not stated".to_owned(), |kvp| format!("{kvp:.0} kVp"))
 }

@@ -1,6 +1,6 @@
 //! What a panel is calibrated from.
 
-use crate::acquire::PanelResponse;
+use crate::acquire::{AddedFilter, PanelResponse};
 use crate::image::Image;
 
 /// A frame without a specimen.
@@ -12,6 +12,8 @@ pub struct PanelFrame {
     pub pixels: Image<f32>,
     /// Tube voltage, if known.
     pub tube_kvp: Option<f64>,
+    /// What filters the beam besides the tube, if known.
+    pub filter: Option<AddedFilter>,
     /// Tube current times time, if known.
     pub exposure_mas: Option<f64>,
     /// Focal spot to panel, if known.
@@ -27,7 +29,8 @@ pub struct Measurement {
     pub dark: Vec<PanelFrame>,
     /// A straight edge of metal on the panel, turned by 2 to 10 degrees against its grid.
     pub edge: Option<PanelFrame>,
-    /// Added filtration of all air frames: `aluminium=4.3`; it also gives the spectrum.
+    /// What filters the tube in all air frames: `aluminium=4.3`, of a material that it names all of it. With what the frames state of other
+    /// materials it gives the spectrum.
     pub filter: Option<String>,
     /// ⟨E⟩ and ⟨E²⟩ (keV, keV²) of the beam at a tube voltage, where the spectrum is known.
     pub spectrum_moments_kev: fn(f64, &str) -> Option<[f64; 2]>,

@@ -1,5 +1,5 @@
-//! The panel, from frames without a specimen: offset, gain by photon transfer, the air signal by tube voltage, bad pixels, noise power,
-//! and the presampled MTF where an edge was imaged.
+//! The panel, from frames without a specimen: offset, gain by photon transfer, the air signal by tube voltage and added filter, bad pixels,
+//! noise power, and the presampled MTF where an edge was imaged.
 //!
 //! ```text
 //! darks ── offset ─┐
@@ -23,9 +23,9 @@ mod surface;
 mod transfer;
 
 use crate::acquire::{
-    AirBeam, DetectorCalibration, DetectorRecord, EdgeMtf, ExposureLevel, PanelResponse, panel_maps::PanelMaps,
+    AddedFilter, AirBeam, DetectorCalibration, DetectorRecord, EdgeMtf, ExposureLevel, FilterMaterial, Likeness, PanelResponse,
+    panel_maps::PanelMaps,
 };
-
 use crate::image::Image;
 
 pub use error::DetectorError;
@@ -40,6 +40,7 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     let mut notes = Vec::new();
     let saturation = saturation_value(measurement, &mut notes);
     let groups = groups::group(&measurement.air, saturation)?;
+    check_filtration(measurement.filter.as_deref(), &groups)?;
     let offset = offset::find(&measurement.dark, &groups, saturation, &mut notes)?;
     let mut beams = Vec::new();
     let mut maps = PanelMaps { offset_value: offset.map.clone(), ..PanelMaps::default() };
@@ -139,9 +140,45 @@ fn saturation_value(measurement: &Measurement, notes: &mut Vec<String>) -> Optio
     by_bits
 }
 
+/// Whether `declared` (`aluminium=4.3,copper=0.2`) says how much of `material` is in the beam.
+fn declares(declared: &str, material: FilterMaterial) -> bool {
+    declared.split(',').filter_map(|part| part.split('=').next()).any(|name| FilterMaterial::named(name) == Some(material))
+}
+
+/// What is declared holds for all beams: what the frames state of its materials is one thickness, as two statements of one filter are.
+fn check_filtration(declared: Option<&str>, groups: &[groups::Group]) -> Result<(), DetectorError> {
+    let filters: Vec<&AddedFilter> = groups.iter().filter_map(|group| group.beam.filter.as_ref()).collect();
+    let declared = |material: &FilterMaterial| declared.is_some_and(|declared| declares(declared, *material));
+    for material in FilterMaterial::ALL.into_iter().filter(declared) {
+        let of_it = |filter: &AddedFilter| {
+            let layers = filter.layers.iter().filter(|layer| layer.material == material).copied().collect();
+            AddedFilter { stated_by: filter.stated_by, form: None, layers }
+        };
+        let Some(first) = filters.first().map(|filter| of_it(filter)) else { return Ok(()) };
+        if filters.iter().any(|filter| first.likeness(&of_it(filter)) != Likeness::Same) {
+            let filters = filters.iter().map(|filter| filter.words()).collect::<Vec<_>>().join("; ");
+            return Err(DetectorError::Filtration { material: material.names()[0], filters });
+        }
+    }
+    Ok(())
+}
+
+/// Everything that filters a beam: what is declared, and what the frames state of other materials. `None` where a thickness is not known.
+fn filtration(declared: Option<&str>, added: Option<&AddedFilter>) -> Option<String> {
+    let declared = declared?;
+    let mut all = declared.to_owned();
+    let others = added.into_iter().flat_map(AddedFilter::materials).filter(|(material, _)| !declares(declared, *material));
+    for (material, thickness_mm) in others {
+        let [least_mm, most_mm] = thickness_mm?;
+        all += &format!(",{}={}", material.names()[0], 0.5 * (least_mm + most_mm));
+    }
+    Some(all)
+}
+
 fn beam(measurement: &Measurement, group: &air::Consistent, air: &air::AirMap, transferred: &transfer::Transfer) -> AirBeam {
-    let moments =
-        group.kvp.zip(measurement.filter.as_deref()).and_then(|(kvp, filter)| (measurement.spectrum_moments_kev)(kvp, filter));
+    let kvp = group.beam.kvp;
+    let filter = filtration(measurement.filter.as_deref(), group.beam.filter.as_ref());
+    let moments = kvp.zip(filter.as_deref()).and_then(|(kvp, filter)| (measurement.spectrum_moments_kev)(kvp, filter));
     let moments = moments.filter(|_| measurement.response == PanelResponse::Energy);
     let gain = transferred.gain;
     let photons_per_quantum = match measurement.response {
@@ -159,8 +196,9 @@ fn beam(measurement: &Measurement, group: &air::Consistent, air: &air::AirMap, t
     let mut levels: Vec<ExposureLevel> = levels.chain(group.saturated.iter().cloned()).collect();
     levels.sort_by(|a, b| a.air_value.total_cmp(&b.air_value));
     AirBeam {
-        tube_kvp: group.kvp,
-        filter: measurement.filter.clone(),
+        tube_kvp: kvp,
+        filter,
+        added_filter: group.beam.filter.clone(),
         source_to_detector_mm: group.source_to_detector_mm,
         air_value_per_mas: air.per_mas,
         air_value: air.per_mas.is_none().then_some(air.median),
@@ -177,14 +215,16 @@ fn beam(measurement: &Measurement, group: &air::Consistent, air: &air::AirMap, t
     }
 }
 
-/// The air map of the tube voltage nearest to the edge's, of the first where none is known.
+/// The air map of the edge's filter and of the tube voltage nearest to its own, of the first where none is known.
 fn air_for<'m>(edge: &PanelFrame, beams: &[AirBeam], maps: &'m PanelMaps) -> Option<&'m Image<f32>> {
     let away = |beam: &AirBeam| match (beam.tube_kvp, edge.tube_kvp) {
         (Some(air), Some(edge)) => (air - edge).abs(),
         _ => f64::INFINITY,
     };
     let pairs = beams.iter().zip(&maps.air_share);
-    pairs.min_by(|a, b| away(a.0).total_cmp(&away(b.0))).map(|(_, map)| map)
+    let likeness = |beam: &AirBeam| Likeness::between(edge.filter.as_ref(), beam.added_filter.as_ref());
+    let order = |a: &AirBeam, b: &AirBeam| likeness(a).cmp(&likeness(b)).then(away(a).total_cmp(&away(b)));
+    pairs.min_by(|a, b| order(a.0, b.0)).map(|(_, map)| map)
 }
 
 /// Bad pixels are left out: each would turn up in the edge's profile, and twice in its derivative.
@@ -202,4 +242,29 @@ fn edge_mtf(
         *value = if good { (f64::from(*value) - offset.at(at)) as f32 / if share > 0.0 { share } else { 1.0 } } else { f32::NAN };
     }
     edge::mtf(&flat, pitch_mm.unwrap_or(1.0)).map_err(|detail| DetectorError::Edge { label: edge.label.clone(), detail })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::groups::{Beam, Group};
+    use super::*;
+
+    #[test]
+    fn a_declared_filter_is_one_where_the_frames_differ_by_digits_and_none_where_they_differ_by_a_sheet() {
+        let checked = |thicknesses_mm: [&str; 2], declared: &str| {
+            let group = |(n, text): (usize, &str)| {
+                let filter = Some(text.parse().expect("a filter"));
+                let beam = Beam { kvp: Some(60.0 + 30.0 * n as f64), filter };
+                Group { beam, frames: Vec::new(), saturated: Vec::new(), left_out: Vec::new() }
+            };
+            let groups: Vec<Group> = thicknesses_mm.into_iter().enumerate().map(group).collect();
+            check_filtration(Some(declared), &groups)
+        };
+        assert!(checked(["copper=0.1", "copper=0.1000001"], "copper=0.1").is_ok());
+        let refused = checked(["copper=0.1", "copper=0.2"], "copper=0.1").expect_err("another sheet");
+        assert!(refused.to_string().contains("0.20 mm of copper"), "{refused}");
+        assert!(checked(["copper=0.1", "none"], "copper=0.1").is_err());
+        // Of a material that is not declared each beam may have its own.
+        assert!(checked(["copper=0.1", "copper=0.2"], "aluminium=4.3").is_ok());
+    }
 }

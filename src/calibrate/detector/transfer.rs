@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::air::Consistent;
-use super::error::{DetectorError, kvp_words};
+use super::error::DetectorError;
 use super::measurement::PanelFrame;
 use super::offset::Offset;
 use crate::image::Image;
@@ -73,12 +73,12 @@ pub(super) fn find(
         }
     }
     if points.is_empty() {
-        return Err(DetectorError::NoPairs { kvp: kvp_words(group.kvp) });
+        return Err(DetectorError::NoPairs { beam: group.beam.words() });
     }
     let readout = offset.readout_sigma.map(|sigma| sigma * sigma);
     let single = line(&points, |point| point.variance, readout);
     if !(single.slope > 0.0 && single.slope.is_finite()) {
-        return Err(DetectorError::NoTransfer { kvp: kvp_words(group.kvp), slope: single.slope });
+        return Err(DetectorError::NoTransfer { beam: group.beam.words(), slope: single.slope });
     }
     let mut notes = Vec::new();
     // Correlation of quantum noise with each neighbour; a covariance of n pixels scatters by variance / √n.
@@ -103,7 +103,7 @@ pub(super) fn find(
         notes.push(format!(
             "{}: pixels share quanta with {} neighbours (correlation up to {strongest:.3}); the gain is from variances \
              summed over these, a single pixel's variance alone would give {:.4}",
-            kvp_words(group.kvp),
+            group.beam.words(),
             2 * seen.len(),
             single.slope
         ));
@@ -113,7 +113,7 @@ pub(super) fn find(
         Line { slope_sigma: line.slope_sigma * (1.0 + 2.0 * seen.len() as f64).sqrt(), ..line }
     };
     if !(chosen.slope > 0.0 && chosen.slope.is_finite()) {
-        return Err(DetectorError::NoTransfer { kvp: kvp_words(group.kvp), slope: chosen.slope });
+        return Err(DetectorError::NoTransfer { beam: group.beam.words(), slope: chosen.slope });
     }
     Ok(Transfer {
         gain: chosen.slope,

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::frames::GridFrame;
 use crate::acquire::Frame;
-use crate::beads::{Detection, Expectation, Signal, detect, detect_image};
+use crate::beads::{Detection, Expectation, Signal, detect, detect_image, known_at_best};
 use crate::image::Image;
 use crate::mask::{Disc, find_field};
 
@@ -22,14 +22,20 @@ pub enum GridOf {
 pub struct Spot {
     /// Its centre.
     pub image_px: DVec2,
-    /// Standard deviation per axis.
+    /// Standard deviation per axis, the mean of both.
     pub sigma_px: f64,
+    /// Covariance of the centre: uu, uv, vv.
+    pub noise_px2: [f64; 3],
 }
 
 impl Spot {
     /// Where a shadow lies.
     pub fn of(shadow: &Detection) -> Self {
-        Self { image_px: shadow.image_px, sigma_px: shadow.sigma_px.max(LEAST_SIGMA_PX) }
+        Self {
+            image_px: shadow.image_px,
+            sigma_px: shadow.sigma_px.max(LEAST_SIGMA_PX),
+            noise_px2: known_at_best(shadow.noise_px2(), LEAST_SIGMA_PX),
+        }
     }
 }
 

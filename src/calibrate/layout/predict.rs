@@ -78,9 +78,8 @@ fn view(layout: &BeadLayout, planned: &Planned, orbital_deg: f64, angulation_deg
         if !(p.z > 1.0 && at.x >= 0.0 && at.y >= 0.0 && at.x <= width - 1.0 && at.y <= height - 1.0) {
             continue;
         }
-        let covariance_mm2 = DMat3::from_diagonal(DVec3::splat(bead.sigma_or_default_mm().powi(2)));
         let variance = planned.sigma_px.powi(2);
-        let place = Place::Known { body_mm: bead.lps_mm, covariance_mm2, share: 1.0 };
+        let place = Place::Known { body_mm: bead.lps_mm, covariance_mm2: bead.place_mm2(), share: 1.0 };
         problem.add(BeadImage::new(camera, intrinsics, place, at, [variance, 0.0, variance]), Loss::None);
         in_view += 1;
     }

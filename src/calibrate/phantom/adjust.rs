@@ -3,7 +3,7 @@
 //! Every camera has its rough place as a measurement, so that the world does not float. All cameras may stand nearer or farther than
 //! expected by one common length, all K have one common error: both change the size of the cloud and hardly its images.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::scale::Measured;
@@ -15,8 +15,6 @@ use crate::estimate::{
 };
 use crate::geometry::Rigid;
 
-/// No shadow is better than this.
-const LEAST_SIGMA_PX: f64 = 0.01;
 /// Nothing of K is known better: a share of f, and px.
 const TIE: (f64, f64) = (1e-6, 1e-3);
 
@@ -105,9 +103,7 @@ impl<'a> Adjustment<'a> {
             for (shot, shadow) in structure.shadows_of(bead) {
                 let (Some(camera), Some(k)) = (blocks.cameras[shot], blocks.intrinsics[shot]) else { continue };
                 let own = &shots[shot].shadows[shadow];
-                let variance = own.sigma_px.max(LEAST_SIGMA_PX).powi(2);
-                let place = Place::Solved(blocks.points[bead]);
-                let image = BeadImage::new(camera, k, place, own.image_px, [variance, 0.0, variance]);
+                let image = BeadImage::new(camera, k, Place::Solved(blocks.points[bead]), own.image_px, own.weighed_px2());
                 blocks.images.push((bead, shot, problem.add(image, Loss::None)));
             }
         }
@@ -180,9 +176,7 @@ pub(super) fn resected(shot: &PhantomShot, camera: &Rigid, beads: &[(DVec3, usiz
     for (body_mm, shadow) in beads {
         let own = &shot.shadows[*shadow];
         let place = Place::Known { body_mm: *body_mm, covariance_mm2: glam::DMat3::ZERO, share: 1.0 };
-        let image_px: DVec2 = own.image_px;
-        let variance = own.sigma_px.max(LEAST_SIGMA_PX).powi(2);
-        problem.add(BeadImage::new(block, intrinsics, place, image_px, [variance, 0.0, variance]), Loss::None);
+        problem.add(BeadImage::new(block, intrinsics, place, own.image_px, own.weighed_px2()), Loss::None);
     }
     let estimate = problem.solve(&Settings { iterations: 30, step_sigmas: 1e-4 }).ok()?;
     Some(*estimate.state().pose(block))

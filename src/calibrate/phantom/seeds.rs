@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2};
 
 use super::adjust::Adjustment;
-use super::shot::{CameraErrors, PhantomShot, middle_of, nearest};
+use super::shot::{CameraErrors, PhantomShot, ShotShadow, middle_of, nearest};
 use super::structure::{Structure, one_to_one, ray, seen};
 use crate::estimate::{about, turned};
 use crate::geometry::Rigid;
@@ -53,7 +53,7 @@ impl Gate {
         let rows = k.slopes_px_per_mm(p).map(|slope| turned(slope, p));
         let slope = Matrix2x6::from_fn(|i, j| rows[i][j]);
         let covariance = Matrix6::from_fn(|i, j| shot.covariance[i][j]) * (times * times);
-        let mut sigmas: Vec<f64> = shot.shadows.iter().map(|shadow| shadow.sigma_px).collect();
+        let mut sigmas: Vec<f64> = shot.shadows.iter().map(ShotShadow::sigma_px).collect();
         sigmas.sort_by(f64::total_cmp);
         let sigma_px = sigmas.get(sigmas.len() / 2).copied().unwrap_or(0.1);
         let moved = slope * covariance * slope.transpose() + Matrix2::identity() * sigma_px.powi(2).max(0.04);

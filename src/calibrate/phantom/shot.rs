@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
+use crate::beads::known_at_best;
 use crate::calibrate::carm::Sensors;
 use crate::estimate::about;
 use crate::geometry::{CarmCalibration, CarmCalibrationError, CarmJoints, Intrinsics, Rigid};
@@ -13,10 +14,25 @@ use crate::pose::{Covariance, PRIOR_SIGMA, Prior};
 pub struct ShotShadow {
     /// Its centre.
     pub image_px: DVec2,
-    /// Standard deviation per axis.
-    pub sigma_px: f64,
+    /// Covariance of the centre: uu, uv, vv.
+    pub noise_px2: [f64; 3],
     /// Its radius, where the frame's values tell it.
     pub radius_px: Option<f64>,
+}
+
+/// No shadow is better than this along any direction.
+const LEAST_SIGMA_PX: f64 = 0.01;
+
+impl ShotShadow {
+    /// What it is weighed by: its covariance, nowhere less than a shadow can be known.
+    pub(super) fn weighed_px2(&self) -> [f64; 3] {
+        known_at_best(self.noise_px2, LEAST_SIGMA_PX)
+    }
+
+    /// Standard deviation per axis, the mean of both.
+    pub(super) fn sigma_px(&self) -> f64 {
+        (0.5 * (self.noise_px2[0] + self.noise_px2[2])).sqrt()
+    }
 }
 
 /// A shot.

@@ -83,8 +83,10 @@ pub fn measure(asked: &Asked) -> Result<Phantom, PhantomRefusal> {
 fn mirrored_picture(shot: &PhantomShot) -> PhantomShot {
     let last = f64::from(shot.size_px[0]) - 1.0;
     let k = shot.intrinsics;
-    let turned =
-        |shadow: &ShotShadow| ShotShadow { image_px: DVec2::new(last - shadow.image_px.x, shadow.image_px.y), ..*shadow };
+    let turned = |shadow: &ShotShadow| {
+        let (at, [uu, uv, vv]) = (shadow.image_px, shadow.noise_px2);
+        ShotShadow { image_px: DVec2::new(last - at.x, at.y), noise_px2: [uu, -uv, vv], ..*shadow }
+    };
     let shadows = shot.shadows.iter().map(turned).collect();
     PhantomShot { intrinsics: Intrinsics { cx: last - k.cx, skew: -k.skew, ..k }, shadows, ..shot.clone() }
 }
@@ -384,6 +386,7 @@ fn warnings(beads: &[MeasuredBead]) -> Vec<String> {
         lps_mm: DVec3::from_array(bead.mm),
         radius_mm: None,
         sigma_mm: Some(bead.sigma_mm),
+        covariance_mm2: None,
     };
     let layout = BeadLayout { beads: beads.iter().map(bead).collect(), ..BeadLayout::none() };
     score(&layout, COINCIDING_MM, None).warnings

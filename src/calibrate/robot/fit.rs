@@ -56,6 +56,8 @@ pub struct RobotFit {
     pub chi2_per_dof: f64,
     /// Names of the shots that it rests on, in their order.
     pub shots: Vec<String>,
+    /// Of each: why its pose is in doubt, where it is.
+    pub doubts: Vec<Option<String>>,
     /// Of each: √mean of squares across the axis, px; that in standard deviations; profiles that found the robot; shift of its picture, px.
     pub residuals: Vec<(f64, f64, usize, [f64; 2])>,
     /// Of each: the tip; `None` behind the focal spot.
@@ -204,6 +206,7 @@ impl Fitting<'_> {
             },
             chi2_per_dof,
             shots: shots.iter().map(|shot| shot.name.clone()).collect(),
+            doubts: shots.iter().map(|shot| shot.doubt.clone()).collect(),
             residuals: residuals.collect(),
             tips: seen.iter().map(|seen| seen.as_ref().map(|seen| seen.tip)).collect(),
             shared_tips,

@@ -17,6 +17,9 @@ const UNDETERMINED: f64 = 0.7;
 pub struct ShotReport {
     /// Its name.
     pub shot: String,
+    /// Why its pose is in doubt; absent where it is not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
     /// Profiles in which the robot was found.
     pub profiles: usize,
     /// Axis as seen against the fit, √mean of squares across it, px.
@@ -67,8 +70,9 @@ impl RobotReport {
         let place = calibration.lps_from_base.or(calibration.marker_from_base).unwrap_or(fit.guess);
         let shot = |n: usize| {
             let (rms_px, rms_sigma, profiles, shift_px) = fit.residuals[n];
-            let (shot, tip, own_bend_deg) = (fit.shots[n].clone(), fit.tips[n], fit.own_bends_deg[n]);
-            ShotReport { shot, profiles, rms_px, rms_sigma, shift_px, tip, own_bend_deg }
+            let (shot, doubt) = (fit.shots[n].clone(), fit.doubts[n].clone());
+            let (tip, own_bend_deg) = (fit.tips[n], fit.own_bends_deg[n]);
+            ShotReport { shot, doubt, profiles, rms_px, rms_sigma, shift_px, tip, own_bend_deg }
         };
         let sigmas = calibration.control_angle_offsets_sigma_deg;
         let open = |k: &usize| !(sigmas[*k - 1] <= UNDETERMINED * assumed.offset_sigma_deg);

@@ -27,6 +27,8 @@ pub struct Shot {
     pub lps_from_carrier: Rigid,
     /// Of the pose, ξ about the focal spot.
     pub pose_covariance: Option<Covariance>,
+    /// Why the pose may be another one.
+    pub doubt: Option<String>,
 }
 
 /// Why a frame is no shot.
@@ -113,6 +115,7 @@ impl Shot {
             readings_deg,
             lps_from_carrier,
             pose_covariance: pose.covariance,
+            doubt: pose.doubt.clone(),
         })
     }
 }

@@ -64,16 +64,11 @@ fn shot_of(name: &str, record: LoggedPose<BindingRecord>) -> Result<LoggedShot, 
     })
 }
 
-/// The shots of a log in order of arrival; a frame that was posed again counts with its last pose. Second: what is no shot and why, which
-/// shots' poses are in doubt, and what of the log could not be read.
+/// The shots of a log in order of arrival; a frame that was posed again counts with its last pose. Second: what is no shot and why, and what
+/// of the log could not be read.
 ///
 /// # Errors
 /// When the file cannot be read or is no log.
 pub fn shots_of_log(path: &Path) -> Result<(Vec<LoggedShot>, Vec<String>), RecordError> {
-    let (shots, mut notes) = shots_of(path, shot_of)?;
-    for shot in &shots {
-        let doubt = shot.pose.doubt.as_ref();
-        notes.extend(doubt.map(|words| format!("{} is a shot, but its pose is in doubt: {words}", shot.name)));
-    }
-    Ok((shots, notes))
+    shots_of(path, shot_of)
 }

@@ -7,10 +7,11 @@ use serde_json::{Map, Value, json};
 use super::cameras;
 use super::found::{Found, InfoError, object};
 use super::kinds::{COUNTED, recognise, shown};
+use crate::regular;
 use crate::table::{cells_of, unmarked};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
-    let text = std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
+    let text = regular::read_text(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
     if name.ends_with(".fcsv") {
         return Ok(("markups", fcsv(path, &text)?, Vec::new()));
     }

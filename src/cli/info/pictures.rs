@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::found::{Found, InfoError, object};
+use crate::regular;
 
 /// How a PNG begins, and where its size stands.
 pub(super) const PNG_START: &[u8] = b"\x89PNG\r\n\x1a\n";
@@ -94,5 +95,5 @@ pub(super) fn png(head: &[u8]) -> Found {
 }
 
 fn read(path: &Path) -> Result<String, InfoError> {
-    std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })
+    regular::read_text(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })
 }

@@ -1,12 +1,12 @@
 //! Files of numbers: tables as CSV, and tensors (safetensors: the length of a header, 8 bytes little-endian, the header as JSON, values).
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use serde_json::{Value, json};
 
 use super::found::{Found, InfoError, object};
+use crate::regular;
 
 /// A header that is longer is none.
 const LONGEST_HEADER: u64 = 100 << 20;
@@ -16,7 +16,8 @@ const LONGEST_TEXT: usize = 200;
 /// A table with a line of column names.
 pub(super) fn csv(path: &Path) -> Result<Found, InfoError> {
     let damaged = |detail: String| InfoError::Damaged { path: path.to_owned(), kind: "table", detail };
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_path(path).map_err(|error| damaged(error.to_string()))?;
+    let file = regular::open(path).map_err(|error| damaged(error.to_string()))?;
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(file);
     let columns: Vec<String> = reader.headers().map_err(|error| damaged(error.to_string()))?.iter().map(str::to_owned).collect();
     if columns.iter().all(|column| column.trim().is_empty()) {
         return Err(damaged("no column has a name".to_owned()));
@@ -44,7 +45,7 @@ pub(super) fn trade(text: &str) -> Option<Found> {
 pub(super) fn tensors(path: &Path) -> Result<Found, InfoError> {
     let io = |source| InfoError::Io { path: path.to_owned(), source };
     let damaged = |detail: &str| InfoError::Damaged { path: path.to_owned(), kind: "file of tensors", detail: detail.to_owned() };
-    let mut file = File::open(path).map_err(io)?;
+    let mut file = regular::open(path).map_err(io)?;
     let bytes = file.metadata().map_err(io)?.len();
     let mut length = [0u8; 8];
     file.read_exact(&mut length).map_err(|_| damaged("it is shorter than the length of its header"))?;

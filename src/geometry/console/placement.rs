@@ -66,6 +66,12 @@ impl ConsoleGeometry {
         Ok(self.detector_from_image.is_none().then(|| self.stored_size([side(columns), side(rows)])))
     }
 
+    /// Columns and rows as stored of the picture of a panel of `panel_px`; `None` where a matrix leaves them open, or the crop lies beside it.
+    #[must_use]
+    pub fn stored_px(&self, panel_px: [u32; 2]) -> Option<[u32; 2]> {
+        self.expected(panel_px).ok().flatten()
+    }
+
     /// Whether the cropped part lies on the panel of `carm`.
     ///
     /// # Errors

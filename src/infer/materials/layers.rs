@@ -23,6 +23,9 @@ pub enum MaterialsArchitecture {
     Default,
     /// One pass at 0.86 × 0.86 × 1.0 mm, patches of 128³ every 64 voxels whose central 64³ are kept (Unberath et al. 2018, DeepDRR).
     Paper,
+    /// Two passes of few points, for tests of what any passes do.
+    #[cfg(test)]
+    Small,
 }
 
 /// One pass: an encoder and decoder with skip connections over patches of a grid.
@@ -48,6 +51,11 @@ const DEFAULT: [Pass; 2] = [
 ];
 const PAPER: [Pass; 1] =
     [Pass { name: "paper", spacing_mm: [0.86, 0.86, 1.0], patch: 128, keep: 64, fold: 1, channels: &[8, 16, 32, 64] }];
+#[cfg(test)]
+const SMALL: [Pass; 2] = [
+    Pass { name: "coarse", spacing_mm: [8.0; 3], patch: 16, keep: 8, fold: 2, channels: &[8, 16] },
+    Pass { name: "fine", spacing_mm: [4.0; 3], patch: 16, keep: 12, fold: 2, channels: &[8, 16] },
+];
 
 impl MaterialsArchitecture {
     /// The passes, the coarsest first.
@@ -56,6 +64,8 @@ impl MaterialsArchitecture {
         match self {
             Self::Default => &DEFAULT,
             Self::Paper => &PAPER,
+            #[cfg(test)]
+            Self::Small => &SMALL,
         }
     }
 

@@ -10,6 +10,8 @@ mod recipe;
 mod loss;
 mod figures;
 mod train;
+#[cfg(test)]
+mod tests;
 
 pub use figures::MaterialsFigures;
 pub use phantom::{PhantomMesh, phantom};

@@ -23,6 +23,7 @@ use crate::learn::specimen::LabelledSpecimen;
 use crate::learn::train::check_output;
 use crate::learn::{HoldOut, LearnError, Progress, TrainFiles, TrainOptions, Trained, TrainingEnd, siblings};
 use crate::random::{Purpose, Stream};
+use crate::regular;
 
 /// Patches of each pass that an epoch is judged by.
 const JUDGED_PATCHES: usize = 16;
@@ -80,7 +81,7 @@ fn read(folder: &Path) -> Result<(Vec<LabelledSpecimen>, String), LearnError> {
     let mut hash = Sha256::new();
     let mut specimens: Vec<LabelledSpecimen> = Vec::new();
     for path in &paths {
-        let bytes = std::fs::read(path).map_err(|source| LearnError::Io { path: path.clone(), source })?;
+        let bytes = regular::read(path).map_err(|source| LearnError::Io { path: path.clone(), source })?;
         let specimen = LabelledSpecimen::of_bytes(&bytes, path)?;
         hash.update(&bytes);
         if let Some(other) = specimens.iter().find(|other| other.name == specimen.name || other.hu == specimen.hu) {

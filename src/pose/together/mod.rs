@@ -46,7 +46,7 @@ pub struct ViewAlone {
 /// What is asked.
 #[derive(Clone, Copy, Debug)]
 pub struct SeveralViews<'a> {
-    /// The beads; `sigma_mm` says how far each may leave its place.
+    /// The beads; the covariance of its place says how far each may leave it.
     pub layout: &'a BeadLayout,
     /// How sure the K is that all views share; `None`: each view's own K is known, or was solved, in which case they share one unknown K.
     pub intrinsics_prior: Option<IntrinsicsPrior>,
@@ -194,8 +194,9 @@ impl SeveralViews<'_> {
         for (view, pose) in poses.iter().enumerate() {
             for (bead, own) in self.layout.beads.iter().enumerate() {
                 let row = pose.beads.iter().find(|row| row.name == own.name);
-                if let Some((at, sigma_px)) = row.and_then(|row| row.image_px.zip(row.sigma_px)) {
-                    observations.push(Observation { view, bead, image_px: DVec2::from_array(at), sigma_px });
+                let seen = row.and_then(|row| Some((row.image_px?, row.sigma_px?, row.noise_px2()?)));
+                if let Some((at, sigma_px, noise_px2)) = seen {
+                    observations.push(Observation { view, bead, image_px: DVec2::from_array(at), sigma_px, noise_px2 });
                 }
             }
         }

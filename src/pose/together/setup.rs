@@ -1,7 +1,7 @@
 //! The problem of several views: a camera each, K, bead places with their priors, and where each body is from which view on.
 
-use glam::{DMat3, DVec2, DVec3};
-use nalgebra::{DMatrix, Matrix3};
+use glam::{DVec2, DVec3};
+use nalgebra::Matrix3;
 
 use crate::beads::BeadLayout;
 use crate::estimate::{
@@ -18,6 +18,8 @@ pub struct Observation {
     pub bead: usize,
     pub image_px: DVec2,
     pub sigma_px: f64,
+    /// Covariance of `image_px`: uu, uv, vv.
+    pub noise_px2: [f64; 3],
 }
 
 /// A body's place, from some view to another.
@@ -61,11 +63,6 @@ impl Blocks {
     pub fn intrinsics_of(&self, view: usize) -> VectorBlock {
         self.intrinsics[view.min(self.intrinsics.len() - 1)]
     }
-}
-
-/// Covariance of a bead's place in the layout.
-fn of_layout(layout: &BeadLayout, bead: usize) -> DMat3 {
-    DMat3::from_diagonal(DVec3::splat(layout.beads[bead].sigma_or_default_mm().powi(2)))
 }
 
 impl<'a> Setup<'a> {
@@ -113,9 +110,8 @@ impl<'a> Setup<'a> {
         let mut blocks = Blocks { cameras, intrinsics, segments, priors: vec![None; beads.len()], beads, images: Vec::new() };
         for o in &self.observations {
             let Some(bead) = blocks.beads[o.bead] else { continue };
-            let variance = o.sigma_px.powi(2).max(1e-8);
             let (camera, k) = (blocks.cameras[o.view], blocks.intrinsics_of(o.view));
-            let mut image = BeadImage::new(camera, k, Place::Solved(bead), o.image_px, [variance, 0.0, variance]);
+            let mut image = BeadImage::new(camera, k, Place::Solved(bead), o.image_px, o.noise_px2);
             if let Some(segment) = self.segment_of(o.view, o.bead) {
                 image = image.on_body(blocks.segments[segment]);
             }
@@ -123,9 +119,7 @@ impl<'a> Setup<'a> {
         }
         for (n, bead) in self.layout.beads.iter().enumerate() {
             let Some(block) = blocks.beads[n].filter(|_| !self.freed[n]) else { continue };
-            let information = of_layout(self.layout, n).inverse();
-            let information = DMatrix::from_fn(3, 3, |i, j| information.col(j)[i]);
-            let prior = Reading::of_all(block, &bead.lps_mm.to_array(), information);
+            let prior = Reading::of_place(block, bead.lps_mm, &bead.place_mm2());
             blocks.priors[n] = Some(problem.add(prior, Loss::None));
         }
         if let Free::Known(prior) = self.free {

@@ -1,9 +1,11 @@
 //! Beads that hardly any view could name because they are not where they were: shadows that belong to no bead, put together over views.
 
 use glam::{DVec2, DVec3};
+use nalgebra::{Matrix2, Vector2};
 
 use super::setup::{Observation, Setup};
 use crate::pose::record::{Pose, Shadow};
+use crate::pose::residual::noise_px2;
 
 /// A bead is looked for this far from its place, mm.
 const REACH_MM: f64 = 12.0;
@@ -22,6 +24,7 @@ struct Candidate {
     view: usize,
     image_px: DVec2,
     sigma_px: f64,
+    noise_px2: [f64; 3],
     from_mm: DVec3,
     along: DVec3,
 }
@@ -45,8 +48,8 @@ pub fn seek(setup: &Setup, poses: &[&Pose], beads: &[usize]) -> Vec<Sought> {
             return None;
         }
         let observation = |n: usize| {
-            let Candidate { view, image_px, sigma_px, .. } = candidates[n];
-            Observation { view, bead: *bead, image_px, sigma_px }
+            let Candidate { view, image_px, sigma_px, noise_px2, .. } = candidates[n];
+            Observation { view, bead: *bead, image_px, sigma_px, noise_px2 }
         };
         Some(Sought { bead: *bead, place_mm, observations: members.into_iter().map(observation).collect() })
     };
@@ -76,11 +79,12 @@ fn in_view(setup: &Setup, bead: usize, view: usize, pose: &Pose) -> Vec<Candidat
             && !taken(here)
     };
     let candidate = |s: &Shadow| {
-        let image_px = DVec2::from_array(s.image_px);
+        let (image_px, sigma_px) = (DVec2::from_array(s.image_px), s.sigma_px);
         Candidate {
             view,
             image_px,
-            sigma_px: s.sigma_px.max(0.003),
+            sigma_px,
+            noise_px2: noise_px2(s.covariance_px2, sigma_px),
             from_mm: body_from_camera.translation_mm,
             along: body_from_camera.transform_vector(k.unproject(image_px)).normalize(),
         }
@@ -100,7 +104,7 @@ fn agreed(setup: &Setup, bead: usize, candidates: &[Candidate]) -> Option<(DVec3
             let mut members: Vec<usize> = Vec::new();
             for view in 0..setup.cameras.len() {
                 let own = (0..candidates.len()).filter(|n| candidates[*n].view == view);
-                let off = |n: usize| off_px(setup, bead, &candidates[n], place_mm);
+                let off = |n: usize| off(setup, bead, &candidates[n], place_mm);
                 members.extend(own.min_by(|a, b| off(*a).total_cmp(&off(*b))).filter(|n| off(*n) <= 1.0));
             }
             if members.len() >= 2 && !best.iter().any(|(_, known)| *known == members) {
@@ -126,9 +130,12 @@ fn between(a: &Candidate, b: &Candidate) -> Option<DVec3> {
 }
 
 /// How far a place is from explaining a shadow, as a share of what is allowed.
-fn off_px(setup: &Setup, bead: usize, candidate: &Candidate, place_mm: DVec3) -> f64 {
+fn off(setup: &Setup, bead: usize, candidate: &Candidate, place_mm: DVec3) -> f64 {
     let (camera, k) = (setup.cameras[candidate.view], setup.intrinsics[candidate.view]);
     let camera_from_body = setup.segment_of(candidate.view, bead).map_or(camera, |n| camera * setup.segments[n].lps_from_body);
     let at = k.project(camera_from_body.transform_point(place_mm));
-    at.distance(candidate.image_px) / (SIGMAS * candidate.sigma_px.hypot(CAMERA_PX))
+    let off = at - candidate.image_px;
+    let ([uu, uv, vv], off) = (candidate.noise_px2, Vector2::new(off.x, off.y));
+    let spread = Matrix2::new(uu, uv, uv, vv) + Matrix2::identity() * CAMERA_PX.powi(2);
+    spread.try_inverse().map_or(f64::INFINITY, |information| off.dot(&(information * off)).sqrt() / SIGMAS)
 }

@@ -10,7 +10,9 @@ use crate::beads::Landmark;
 use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
-use crate::pose::record::{BodyPose, Pose};
+use crate::pose::cautions::is_of_looseness;
+use crate::pose::flat::{looseness, worst_landmark};
+use crate::pose::record::{BodyPose, Pose, square};
 use crate::pose::residual::BeadResidual;
 use crate::pose::solve::{Free, Solution};
 use crate::pose::unseen::Unseen;
@@ -65,7 +67,10 @@ impl Common<'_> {
             shadow.bead = shadow.bead.take().filter(rests);
         }
         let bodies = BodyPose::of_beads(&beads, |n| self.lps_from_body(view, n));
-        let pose = Pose {
+        // What its own beads hold loosely all views together may hold.
+        let at_landmark = worst_landmark(&solution, self.landmarks, &solution.covariance);
+        let stands = |words: &str| at_landmark.is_none() || !is_of_looseness(words);
+        let mut pose = Pose {
             projection: Some(Projection::compose(&k, &camera)),
             intrinsics: Some(k),
             intrinsics_source: Some(setup.free.source().to_owned()),
@@ -82,8 +87,13 @@ impl Common<'_> {
             landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance),
             beads,
             shadows,
+            doubt: alone.doubt.clone().filter(|words| stands(words)),
+            cautions: alone.cautions.iter().filter(|words| stands(words)).cloned().collect(),
             ..alone.clone()
         };
+        if let Some(loose) = at_landmark.and_then(looseness) {
+            pose.doubt(loose);
+        }
         pose.on_panel_anew()
     }
 
@@ -137,10 +147,14 @@ impl Common<'_> {
             name: own.name.clone(),
             body: own.body.clone(),
             lps_mm: own.lps_mm,
+            covariance_mm2: own.stated_mm2(),
             image_px: image.map(|at| at.to_array()),
             predicted_px: predicted.map(|at| at.to_array()),
             residual_px: image.zip(predicted).map(|(at, predicted)| (at - predicted).to_array()),
             sigma_px: seen.map(|n| setup.observations[n].sigma_px).or_else(|| row.and_then(|row| row.sigma_px)),
+            covariance_px2: seen
+                .map(|n| square(setup.observations[n].noise_px2))
+                .or_else(|| row.and_then(|row| row.covariance_px2)),
             left_out_px: left_out.as_ref().map(|found| [found.offset[0], found.offset[1]]),
             beside_px: row.and_then(|row| row.beside_px).filter(|_| image.is_none()),
             off_sigmas: left_out.map(|found| found.chi2.sqrt()),
@@ -164,7 +178,10 @@ impl Common<'_> {
         };
         let (place, covariance) = match self.blocks.beads[bead] {
             Some(block) => (setup.places_mm[bead], place_covariance(self.covariance, block) * self.scale),
-            None => (own.lps_mm, nalgebra::Matrix3::identity() * own.sigma_or_default_mm().powi(2)),
+            None => {
+                let own_mm2 = own.place_mm2();
+                (own.lps_mm, nalgebra::Matrix3::from_fn(|i, j| own_mm2.col(j)[i]))
+            }
         };
         SolvedBead {
             name: own.name.clone(),

@@ -19,6 +19,7 @@ mod series;
 mod slices;
 mod source;
 mod voxels;
+mod write_nifti;
 
 use std::path::Path;
 
@@ -34,6 +35,7 @@ use head::{VolumeHead, VoxelSummary};
 pub(super) use exchange::serve;
 pub use head::{PlacedBy, VolumeFormat};
 pub use source::{VolumeContent, VolumeSource, is_ct_slice};
+pub use write_nifti::write_nifti;
 
 /// A volume as its file has it, in `lps` and mm.
 #[derive(Clone, Debug)]

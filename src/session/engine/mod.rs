@@ -305,7 +305,7 @@ impl Engine {
         let posed = match world_from_lps {
             Some(world_from_lps) => {
                 let jumps = posed.pose.innovation.is_some_and(|off| off.is_jump());
-                let in_doubt = posed.pose.doubt.is_some();
+                let in_doubt = posed.pose.may_be_another();
                 let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, in_doubt, jumps);
                 if let Some(words) = verdict.words {
                     self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
@@ -483,7 +483,7 @@ impl Engine {
     }
 
     fn job(&self, bound: Bound) -> PoseJob {
-        let imported = self.import.frame(bound.frame());
+        let imported = self.import.frame(bound.frame(), bound.beam());
         imported.warnings.iter().for_each(|(kind, detail)| self.reporter.warn(kind, detail));
         let known = Known {
             setup: Arc::clone(&self.setup),

@@ -4,14 +4,19 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::super::SessionError;
+use super::super::busy::Task;
 use super::super::editor::Editor;
 use super::super::folder::Folder;
 use super::{Session, Stage};
 use crate::record::Level;
 use crate::time::host_now_us;
 
-/// Whoever leaves at once waits this long for the log.
+/// Whoever leaves at once waits this long for the log, and three times as long for files that are being written.
 const LEAVE: Duration = Duration::from_secs(1);
+/// In the end a folder that has not answered for so long is not waited for any more.
+const FOLDER_PATIENCE: Duration = Duration::from_secs(10);
+/// Nor is a file: whoever reads it would have been killed by then, so that it is the file that does not come.
+const READING_PATIENCE: Duration = Duration::from_secs(45);
 
 impl Session {
     /// From one stage to the next, when its time has come.
@@ -29,7 +34,10 @@ impl Session {
                 self.log.end(asked_us);
                 self.with_engine(|engine, sink| engine.finish(asked_us, sink));
             }
-            Stage::Closing { .. } if self.end_is_logged && self.frames_ended => {
+            Stage::Closing { .. } if self.end_is_logged && (self.frames_ended || self.is_folder_dead()) => {
+                if !self.frames_ended {
+                    self.log.lose("the frame folder did not answer at the end: attach what came into it meanwhile".to_owned());
+                }
                 let (frames, complete) = (self.frames(), self.scribe.complete());
                 if complete < frames {
                     let log = if self.log.has_failed() { "what is not finished is lost" } else { "the log is complete" };
@@ -48,12 +56,19 @@ impl Session {
         }
     }
 
-    /// Whether every frame has its pose, and every edit.
+    /// Whether nothing that is waited for will come of the folder: it is asked and does not answer, or all that is still read of it hangs.
+    fn is_folder_dead(&self) -> bool {
+        let long = self.busy.longer_than(FOLDER_PATIENCE);
+        let hang = |(task, taken): &&(Task, Duration)| matches!(task, Task::Reading(_)) && *taken >= READING_PATIENCE;
+        let hanging = long.iter().filter(hang).count();
+        let are_all = || self.board.read(|state| state.frames_unread) == hanging;
+        long.iter().any(|(task, _)| *task == Task::Folder) || (hanging > 0 && are_all())
+    }
+
+    /// Whether every frame has its pose, or gets none any more, and every edit.
     pub(super) fn is_registered(&self) -> bool {
-        self.engine.waiting() == 0
-            && self.engine.bound().next().is_none()
-            && self.registering.is_none()
-            && self.editor.as_ref().is_none_or(Editor::is_idle)
+        let are_posed = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && self.registering.is_none();
+        (are_posed || self.registrar_ended) && self.editor.as_ref().is_none_or(Editor::is_idle)
     }
 
     /// Everything is developed and written.
@@ -103,13 +118,13 @@ impl Session {
         self.board.update(|state| state.finished = true);
         self.log.finish(limit);
         let path = self.log.path().to_owned();
-        match self.scribe.join() {
-            Some(collector) => {
+        match self.scribe.join(limit.map(|limit| 3 * limit)) {
+            Ok(collector) => {
                 let (losses, again) = (self.log.losses(), self.log.again());
                 collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path))
             }
-            None => {
-                self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
+            Err(how) => {
+                self.log.lose(format!("the thread that writes files {how}; {}", self.log.again()));
                 let folder = path.parent().map(PathBuf::from).unwrap_or_default();
                 let (pairs, views, losses) = (Vec::new(), Default::default(), self.log.losses());
                 Folder { path: folder, log: Some(path), pairs, views, losses, report: None }

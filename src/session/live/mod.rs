@@ -20,7 +20,7 @@ use super::SessionError;
 use super::background::loops_stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
-use super::busy::{AtWork, Busy, Task};
+use super::busy::{AtWork, Busy, LATE_AFTER, Task};
 use super::chime::Chime;
 use super::develop::solved;
 use super::edit::{BeadEdit, EditRequest, take_note};
@@ -47,7 +47,7 @@ use crate::gpu::DeviceChoice;
 use crate::record::Level;
 use crate::reporter::{Progress, Reporter};
 use crate::telemetry::DeviceKind;
-use crate::time::host_now_us;
+use crate::time::{Stopwatch, host_now_us};
 
 /// How a live session runs.
 #[derive(Clone, Debug)]
@@ -90,9 +90,15 @@ pub fn run(
     SessionLog::refuse_occupied(&options.out)?;
     // Before anything that takes time: what arrives meanwhile is the session's.
     let heard_from_us = host_now_us();
-    let source = frame_source(&setup, options.include_existing, reporter)?;
+    let (of_frames, include_existing, told) = (Arc::clone(&setup), options.include_existing, reporter.clone());
+    let folder_late = || reporter.warn(Task::Folder.kind(), Task::Folder.words(LATE_AFTER));
+    let source =
+        unless_stopped(&options.stop, "frame folder", folder_late, move || frame_source(&of_frames, include_existing, &told))??;
     let ports = Ports::listen(&setup, board)?;
-    let mut workshop = open_unless_stopped(&setup, &options.stop, reporter)?;
+    let (of_scene, told) = (Arc::clone(&setup), reporter.clone());
+    // What is heard meanwhile waits to be recorded.
+    let mut workshop =
+        unless_stopped(&options.stop, "scene", || (), move || Workshop::open(&of_scene, DeviceChoice::Auto, &told))??;
     places::remember(workshop.names());
     let started_us = host_now_us();
     let (events, inbox) = channel();
@@ -102,17 +108,17 @@ pub fn run(
     let log = Arc::new(SessionLog::create((&options.out, heard_from_us), &setup, &workshop, events, reporter)?);
     let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     engine.park_in(&options.out);
-    let editor = edits.map(|edits| Editor::start(edits, Arc::clone(&log))).transpose()?;
+    let busy = workshop.busy().clone();
+    let editor = edits.map(|edits| Editor::start(edits, Arc::clone(&log), &busy, reporter)).transpose()?;
     if editor.is_some() {
         engine.keep_for_edits();
         board.update(|state| state.editable = true);
     }
-    let busy = workshop.busy().clone();
     let chime = if options.sound { Some(Chime::start(reporter)?) } else { None };
     let (scribe, pairs) =
         Scribe::start(collector, Arc::clone(&log), board.clone(), (Arc::clone(&broadcast), &busy, chime), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
-    let jobs = start_registrar(Arc::clone(&log))?;
+    let jobs = start_registrar(Arc::clone(&log), reporter)?;
     let lines = ports.record(&setup, &log, board, reporter)?;
     let frames = Frames::watch(source, &log, (board, &busy), reporter)?;
     let session = Session {
@@ -131,8 +137,9 @@ pub fn run(
         frames_ended: false,
         end_is_logged: false,
         registering: None,
+        registrar_ended: false,
         busy,
-        slow_said: BTreeSet::new(),
+        late_said: BTreeSet::new(),
         editor,
         newest_posed: 0,
         faults_this_tick: 0,
@@ -146,20 +153,27 @@ pub fn run(
     session.run(&inbox, options, started_us)
 }
 
-/// Loads scene and renderer, which may take long: what is heard meanwhile waits to be recorded, and whoever wants to leave may.
-fn open_unless_stopped(setup: &Arc<Setup>, stop: &Stop, reporter: &Reporter) -> Result<Workshop, SessionError> {
-    let (setup, told) = (Arc::clone(setup), reporter.clone());
-    let opening = std::thread::Builder::new()
-        .name("opening".to_owned())
-        .spawn(move || Workshop::open(&setup, DeviceChoice::Auto, &told))
-        .map_err(|source| SessionError::Thread { source })?;
+/// Opens `what`, which may take long, or for ever, before a session begins: whoever wants to leave may. `late` is called where it takes longer
+/// than a second.
+fn unless_stopped<T: Send + 'static>(
+    stop: &Stop,
+    what: &'static str,
+    late: impl Fn(),
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, SessionError> {
+    let opening = std::thread::Builder::new().name("opening".to_owned()).spawn(work);
+    let opening = opening.map_err(|source| SessionError::Thread { source })?;
+    let (watch, mut is_late) = (Stopwatch::start(), false);
     while !opening.is_finished() {
         if stop.is_asked() {
             return Err(SessionError::NotBegun);
         }
+        if watch.ms() >= 1e3 * LATE_AFTER.as_secs_f64() && !std::mem::replace(&mut is_late, true) {
+            late();
+        }
         std::thread::sleep(LOOK);
     }
-    opening.join().map_err(|_| SessionError::WorkshopDied)?
+    opening.join().map_err(|_| SessionError::OpeningDied { what })
 }
 
 /// How far a session has come.
@@ -189,9 +203,11 @@ struct Session {
     end_is_logged: bool,
     /// The frame that is being registered.
     registering: Option<(u32, AtWork)>,
+    /// Its thread died: no frame is registered any more.
+    registrar_ended: bool,
     busy: Busy,
-    /// Tasks whose slowness was said, and whether as a warning.
-    slow_said: BTreeSet<(Task, bool)>,
+    /// Tasks of which it was said that they are late, or that they hang.
+    late_said: BTreeSet<(Task, bool)>,
     /// Who edits beads; absent without a window.
     editor: Option<Editor>,
     /// Number of the newest frame that was handed to be posed.
@@ -250,6 +266,9 @@ impl Session {
                 match source {
                     Source::Frames => self.frames_ended = true,
                     Source::Lines => self.lines_ended = true,
+                    // Nobody answers for the frame that it had.
+                    Source::Registrar => (self.registrar_ended, self.registering) = (true, None),
+                    Source::Editor => self.editor.iter_mut().for_each(Editor::give_up),
                 }
             }
         }
@@ -335,7 +354,7 @@ impl Session {
         let crowded = self.workshop.open_jobs() >= most && !self.workshop.has_ended();
         // An edit is of the pose that a frame has, not of one to come.
         let edits = self.editor.as_ref().is_some_and(|editor| !editor.is_idle());
-        if self.registering.is_some() || edits || crowded || !self.engine.is_ready(newest) {
+        if self.registrar_ended || self.registering.is_some() || edits || crowded || !self.engine.is_ready(newest) {
             return;
         }
         self.newest_posed = self.newest_posed.max(newest);
@@ -353,5 +372,23 @@ impl Session {
                 edit => Input::Edit { number, edit, host_us },
             });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whoever reads it looks there, and not for the renderer.
+    #[test]
+    fn a_fault_in_opening_the_folder_is_said_to_be_there() {
+        let stop = Stop::default();
+        let opened = |work: fn() -> u32| unless_stopped(&stop, "frame folder", || (), work);
+        let words = opened(|| panic!("a fault")).expect_err("it died").to_string();
+        assert!(words.contains("opening the frame folder failed") && words.contains("nothing was recorded"), "{words}");
+        assert_eq!(opened(|| 7).ok(), Some(7), "the control");
+        stop.finish();
+        let left = unless_stopped(&stop, "scene", || (), || std::thread::sleep(Duration::from_secs(2)));
+        assert!(matches!(left, Err(SessionError::NotBegun)), "{left:?}");
     }
 }

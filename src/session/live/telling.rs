@@ -1,10 +1,8 @@
 //! What a running session tells while it runs: losses, what is behind, and how far it has come.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use super::super::board::PairView;
-use super::super::busy::{SAID_AFTER, SHOWN_AFTER, Task, WARNED_AFTER};
+use super::super::busy::{HANGS_AFTER, Task};
 use super::super::input::Input;
 use super::super::phase::{self, Phase};
 use super::{Session, Stage};
@@ -14,7 +12,7 @@ use crate::time::host_now_us;
 
 /// Ticks keep waiting frames and stale marks moving when nothing arrives.
 const TICK_US: i64 = 100_000;
-/// Losses on the lines, and what takes long, are told at most this often.
+/// Losses on the lines, and threads that died, are told at most this often.
 const TELL_LOSSES_US: i64 = 1_000_000;
 /// A log that is so far behind is said.
 const BEHIND_MS: f64 = 1_000.0;
@@ -30,6 +28,7 @@ impl Session {
             self.tell_losses_us = now_us + TELL_LOSSES_US;
             self.tell_losses();
         }
+        self.tell_late();
         self.publish(now_us);
         if let Some((progress, complete)) = &mut self.finishing {
             let now_complete = self.scribe.complete();
@@ -77,7 +76,6 @@ impl Session {
                 format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
             self.reporter.warn("recording behind", words);
         }
-        self.tell_slow();
         if self.scribe.has_died() && !matches!(self.stage, Stage::Finishing) {
             self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
             self.reporter.warn(
@@ -93,24 +91,25 @@ impl Session {
         }
     }
 
-    /// What is not over after seconds is said once, and once more as a warning where it hangs; that it went on is said as well.
-    fn tell_slow(&mut self) {
-        let long = self.busy.longer_than(SAID_AFTER);
-        for (task, taken) in &long {
-            let hangs = *taken >= WARNED_AFTER;
-            if !self.slow_said.insert((*task, hangs)) {
+    /// A part that is late is said when it becomes so, and not again before it was on time; one that hangs is said once more, and that it went
+    /// on.
+    fn tell_late(&mut self) {
+        let late = self.busy.late();
+        for (task, taken) in &late {
+            let hangs = *taken >= HANGS_AFTER;
+            if !self.late_said.insert((*task, hangs)) || (!hangs && self.busy.was_late(task.kind())) {
                 continue;
             }
             let words = task.words(*taken);
-            match hangs {
-                true => {
-                    self.reporter.warn(task.kind(), &words);
-                    self.log.event(Level::Warning, host_now_us(), &words);
-                }
-                false => self.reporter.note(&words),
+            self.reporter.warn(task.kind(), &words);
+            self.log.event(Level::Warning, host_now_us(), &words);
+        }
+        let is_over = |(task, _): &(Task, bool)| !late.iter().any(|(other, _)| other == task);
+        for (task, hung) in self.late_said.extract_if(.., is_over) {
+            if hung {
+                self.reporter.mend(task.kind(), task.over());
             }
         }
-        self.slow_said.retain(|(task, _)| long.iter().any(|(other, _)| other == task));
     }
 
     pub(super) fn publish(&mut self, now_us: i64) {
@@ -119,7 +118,7 @@ impl Session {
             + self.engine.bound().count()
             + usize::from(self.registering.is_some())
             + self.workshop.open_jobs();
-        let slow = self.busy.longer_than(SHOWN_AFTER).into_iter().map(|(task, taken)| task.words(taken)).collect();
+        let slow = self.busy.late().into_iter().map(|(task, taken)| task.words(taken)).collect();
         let mut phases = phase::of_engine(&self.engine);
         phases.extend(self.registering.iter().map(|(number, _)| (*number, Phase::Registering)));
         let at_work = self.busy.longer_than(Duration::ZERO);
@@ -128,12 +127,9 @@ impl Session {
             state.now_us = now_us;
             state.frames_waiting = waiting;
             phases.extend(at_work.iter().filter_map(|(task, _)| match task {
-                Task::Developing(number) => {
-                    let is_drawn = |pair: &Arc<PairView>| pair.number() == *number && pair.pictures.simulated().is_some();
-                    let phase = if state.pairs.iter().any(is_drawn) { Phase::Null } else { Phase::Rendering };
-                    Some((*number, phase))
-                }
-                Task::Folder | Task::Reading(_) | Task::Registering(_) | Task::Writing(_) => None,
+                Task::Developing(number) => Some((*number, Phase::Rendering)),
+                Task::Null(number) => Some((*number, Phase::Null)),
+                Task::Folder | Task::Warming | Task::Reading(_) | Task::Registering(_) | Task::Writing(_) => None,
             }));
             state.phases = phases;
             state.recorder_behind_ms = recorder.behind_ms;

@@ -17,7 +17,6 @@ mod retrace;
 mod serial_numbers;
 mod tables;
 mod verify;
-#[cfg(feature = "vision")]
 mod video;
 
 pub use cut::{CutReport, cut};
@@ -29,5 +28,4 @@ pub use moment::Moment;
 pub use redact::{RedactOptions, RedactReport, redact};
 pub use tables::{TablesReport, write_tables};
 pub use verify::{Fault, Verdict, verify};
-#[cfg(feature = "vision")]
 pub use video::{Pace, VideoReport, write_video};

@@ -155,7 +155,8 @@ impl Names {
     fn beads(&self, layout: &BeadLayout) -> String {
         let point = |bead: &Bead, role: &str| {
             let number = |key: &str, value: Option<f64>| value.map(|value| format!("{key}={value} ")).unwrap_or_default();
-            let sizes = number("radius_mm", bead.radius_mm) + &number("sigma_mm", bead.sigma_mm);
+            let covariance = bead.covariance_mm2.map(|own| format!("covariance_mm2={own} ")).unwrap_or_default();
+            let sizes = number("radius_mm", bead.radius_mm) + &number("sigma_mm", bead.sigma_mm) + &covariance;
             let description = format!("{sizes}body={}{role}", self.word(&bead.body));
             (self.word(&bead.name), description, bead.lps_mm.to_array())
         };

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::LogbookError;
 use crate::image::{NewFile, VideoFile, read_png_rgb};
+use crate::regular;
 use crate::report::PairsFile;
 use crate::reporter::Reporter;
 
@@ -47,7 +48,7 @@ pub fn write_video(log: &Path, out: &Path, pace: Pace, reporter: &Reporter) -> R
     let failed = |path: &Path, detail: String| LogbookError::Video { path: path.to_owned(), detail };
     let folder = log.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let pairs_path = folder.join("pairs.json");
-    let text = std::fs::read(&pairs_path).map_err(|error| {
+    let text = regular::read(&pairs_path).map_err(|error| {
         let words =
             format!("cannot be read ({error}); `sidecarm replay {} --out DIR` makes pairs and strips anew", log.display());
         failed(&pairs_path, words)

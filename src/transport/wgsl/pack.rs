@@ -6,7 +6,8 @@ use super::layout::{CellBox, Job, Thing};
 use crate::scene::model::Shape;
 use crate::scene::optics::{Axis, Field};
 use crate::scene::physics::ENERGY_RANGE_KEV;
-use crate::transport::cells::{Cells, Content};
+use crate::transport::cells::Cells;
+use crate::transport::contents::{Content, Mixture};
 use crate::transport::flight::Space;
 use crate::transport::history::{Estimator, World};
 use crate::transport::matter::{Body, Grid};
@@ -37,8 +38,8 @@ pub struct Packed {
 
 /// The constants that the shader shares with the tables.
 #[must_use]
-pub fn constants() -> [(&'static str, f64); 14] {
-    use crate::transport::{attenuation, beam_shape, compton, panel, rayleigh};
+pub fn constants() -> [(&'static str, f64); 15] {
+    use crate::transport::{attenuation, beam_shape, compton, flight, panel, rayleigh};
     [
         ("ELECTRON_KEV", compton::ELECTRON_KEV),
         ("KEV_ANGSTROM", compton::KEV_ANGSTROM),
@@ -54,6 +55,7 @@ pub fn constants() -> [(&'static str, f64); 14] {
         ("HEEL_FIRST_DEG", beam_shape::FIRST_DEG),
         ("HEEL_STEP_DEG", beam_shape::STEP_DEG),
         ("DENSITY_UNIT", DENSITY_UNIT),
+        ("NEAR_MM", flight::NEAR_MM),
     ]
 }
 
@@ -62,6 +64,9 @@ pub fn constants() -> [(&'static str, f64); 14] {
 pub fn unsupported(world: &World) -> Option<String> {
     if world.materials.len() > MATERIALS {
         return Some(format!("{} materials, the shader takes {MATERIALS}", world.materials.len()));
+    }
+    if world.dose.is_some() {
+        return Some("the shader keeps no map of the dose".to_owned());
     }
     let things = || world.space.iter().flat_map(|space| &space.things);
     if things().count() > THINGS {
@@ -266,20 +271,29 @@ impl Packed {
 
     /// What a box says of its content: two words, and of a mixture the words that they name.
     fn content(&mut self, content: &Content) -> [u32; 2] {
-        let bits = |density: f64| (density as f32).to_bits();
         match content {
             Content::Empty => [0, 0],
-            Content::Uniform { material, density } => [1 | material << 2, bits(*density)],
-            Content::Mixed(mixture) => {
-                let flags = u32::from(mixture.keeps_air) + 2 * u32::from(mixture.is_full);
-                let ranges = mixture
-                    .ranges
-                    .iter()
-                    .flat_map(|range| [range.material, bits(range.from * (1.0 - ROUNDING)), bits(range.to * (1.0 + ROUNDING))]);
-                let first = self.indices(ranges.chain(mixture.things.iter().copied()));
-                [2 | first << 2, mixture.ranges.len() as u32 | flags << 8 | (mixture.things.len() as u32) << 16]
-            }
+            Content::Uniform { material, density } => [1 | material << 2, (*density as f32).to_bits()],
+            Content::Mixed(mixture) => self.mixture(mixture),
         }
+    }
+
+    /// Ranges, things, and where some of them are dense the two words of the rest, the number of dense ones, and they.
+    fn mixture(&mut self, mixture: &Mixture) -> [u32; 2] {
+        let bits = |density: f64| (density as f32).to_bits();
+        let mut dense = Vec::new();
+        if let Some(found) = mixture.dense.as_deref() {
+            dense.extend(self.mixture(&found.rest));
+            dense.push(found.shapes.len() as u32);
+            dense.extend(&found.shapes);
+        }
+        let flags = u32::from(mixture.keeps_air) + 2 * u32::from(mixture.is_full) + 4 * u32::from(mixture.dense.is_some());
+        let ranges = mixture
+            .ranges
+            .iter()
+            .flat_map(|range| [range.material, bits(range.from * (1.0 - ROUNDING)), bits(range.to * (1.0 + ROUNDING))]);
+        let first = self.indices(ranges.chain(mixture.things.iter().copied()).chain(dense));
+        [2 | first << 2, mixture.ranges.len() as u32 | flags << 8 | (mixture.things.len() as u32) << 16]
     }
 
     fn volume(&mut self, grid: &Grid, origin: DVec3) -> Thing {

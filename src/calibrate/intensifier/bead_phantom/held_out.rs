@@ -1,9 +1,13 @@
 //! Names that settle, outliers that go, and what is left at beads that the fit has not seen.
 
+use glam::DVec2;
+use nalgebra::Matrix2;
+
 use super::adjust::{Adjusted, KnownBead, Weighing};
 use crate::calibrate::intensifier::outliers::limit_px;
 use crate::estimate::EstimateError;
 use crate::geometry::Intrinsics;
+use crate::pose::rounded_px;
 
 /// Radii in which shadows are sought, in radii of the disc: the first after a frame's own start, the last while names settle.
 const SOUGHT: [f64; 4] = [0.02, 0.014, 0.01, 0.008];
@@ -32,15 +36,19 @@ impl Adjusted {
         now.without_outliers(beads, k)
     }
 
-    // A false shadow draws the polynomial to itself: judged is how far each would be off had it been left out, the worst first.
+    // A false shadow draws the polynomial to itself: judged is how far each would be off had it been left out, the worst first. Off along
+    // the direction in which its bead is known badly counts less than across it.
     fn without_outliers(mut self, beads: &[KnownBead], k: &Intrinsics) -> Result<Self, EstimateError> {
         loop {
             let equations = self.equations(beads, k, Weighing::Settled, |_| true);
             let estimate = equations.solve()?;
             let covariance = estimate.covariance()?;
             let solved = equations.state(&estimate, &self);
-            let off = |n: usize| estimate.left_out_linear(&covariance, n).map_or(f64::INFINITY, |left| left.offset.norm());
-            let off_px: Vec<f64> = (0..self.count()).map(off).collect();
+            let off = |(n, spread): (usize, Matrix2<f64>)| {
+                let left = estimate.left_out_linear(&covariance, n);
+                left.map_or(f64::INFINITY, |left| rounded_px(DVec2::new(left.offset[0], left.offset[1]), &spread))
+            };
+            let off_px: Vec<f64> = solved.spreads(beads, k).into_iter().enumerate().map(off).collect();
             let Some(limit_px) = limit_px(off_px.iter().copied()) else { return Ok(solved) };
             let before = self.count();
             let mut off_px = off_px.into_iter();

@@ -123,7 +123,7 @@ fn required(order: usize, frames: usize) -> usize {
 }
 
 fn known(layout: &BeadLayout) -> Vec<KnownBead> {
-    layout.beads.iter().map(|bead| KnownBead { lps_mm: bead.lps_mm, sigma_mm: bead.sigma_or_default_mm() }).collect()
+    layout.beads.iter().map(|bead| KnownBead { lps_mm: bead.lps_mm, place_mm2: bead.place_mm2() }).collect()
 }
 
 fn see(GridFrame { frame, .. }: &GridFrame, disc: &Disc) -> Seen {

@@ -1,9 +1,10 @@
 //! A bead's shadow, straightened by the distortion that is sought, against its projection.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::estimate::{BlockId, Evaluation, PoseBlock, Residual, State, VectorBlock, turned};
 use crate::geometry::Intrinsics;
+use crate::pose::image_spread;
 
 /// p + Σ sₖ tₖ(p) − K · (camera_from_lps · bead), px: linear in the coefficients s.
 pub struct StraightenedBead {
@@ -14,13 +15,13 @@ pub struct StraightenedBead {
     pub shift: VectorBlock,
     pub intrinsics: Intrinsics,
     pub lps_mm: DVec3,
-    /// Per axis.
-    pub sigma_mm: f64,
+    /// Covariance of `lps_mm`.
+    pub place_mm2: DMat3,
     pub image_px: glam::DVec2,
     /// Of the terms tₖ at `image_px`.
     pub terms: Vec<f64>,
-    /// Of the shadow's place and of what the polynomial cannot follow, per axis.
-    pub variance_px2: f64,
+    /// Covariance of the shadow's place and of what the polynomial cannot follow: uu, uv, vv.
+    pub noise_px2: [f64; 3],
 }
 
 impl Residual for StraightenedBead {
@@ -42,10 +43,9 @@ impl Residual for StraightenedBead {
         let sum = |by: &[f64]| by.iter().zip(&self.terms).map(|(coefficient, term)| coefficient * term).sum::<f64>();
         let off = self.image_px + glam::DVec2::new(sum(by_u), sum(by_v)) - self.intrinsics.project(p);
         out.offset().copy_from_slice(&off.to_array());
-        // The bead's own place counts across the beam; along it a bead moves next to nothing.
-        let variance_px2 = self.variance_px2 + (self.intrinsics.fx / p.z * self.sigma_mm).powi(2);
-        let information = variance_px2.recip();
-        out.information().copy_from_slice(&[information, 0.0, 0.0, information]);
+        let spread = image_spread(&self.intrinsics, &motion.pose, self.lps_mm, &self.place_mm2, self.noise_px2);
+        let Some(information) = spread.try_inverse() else { return false };
+        out.information().copy_from_slice(information.as_slice());
         if let Some(jacobian) = out.jacobian(0) {
             let arm = p - motion.centre_mm();
             let [u, v] = self.intrinsics.slopes_px_per_mm(p).map(|row| turned(row, arm));
@@ -91,10 +91,10 @@ mod tests {
                     shift,
                     intrinsics,
                     lps_mm,
-                    sigma_mm: 0.0,
+                    place_mm2: DMat3::ZERO,
                     image_px,
                     terms: terms.clone(),
-                    variance_px2: 0.25,
+                    noise_px2: [0.25, 0.0, 0.25],
                 };
                 if numeric {
                     let information = DMatrix::identity(2, 2) * 4.0;

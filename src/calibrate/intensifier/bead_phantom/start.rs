@@ -91,7 +91,8 @@ fn attempt(
     let radius_px = trial.disc.radius_px;
     let distortion = trial.distortion().ok()?;
     let loose_mm = TRIAL_OFF * radius_px * DEPTH * request.pitch_mm;
-    let loose = |bead: &Bead| Bead { sigma_mm: Some(bead.sigma_or_default_mm().max(loose_mm)), ..bead.clone() };
+    let loose_of = |bead: &Bead| Some(bead.most_sigma_mm().max(loose_mm));
+    let loose = |bead: &Bead| Bead { sigma_mm: loose_of(bead), covariance_mm2: None, ..bead.clone() };
     let layout =
         BeadLayout { beads: request.layout.beads.iter().map(loose).collect(), checks: Vec::new(), ..request.layout.clone() };
     let registration = Registration {
@@ -102,7 +103,7 @@ fn attempt(
         bead_radius_mm: request.bead_radius_mm,
         ..Registration::new(size_px, &layout)
     };
-    let straight: Vec<Detection> = shadows.iter().map(|shadow| straightened(shadow, &distortion)).collect();
+    let straight: Vec<Detection> = shadows.iter().map(|shadow| shadow.straightened(&distortion)).collect();
     let camera_from_lps = rough_pose(&registration, &straight)?;
     let spots = shadows.iter().map(Spot::of).collect();
     let shot = Shot { frame, shadows: spots, camera_from_lps, matches: Vec::new() };
@@ -131,14 +132,4 @@ fn in_view(alone: &Adjusted, beads: &[KnownBead], k: &Intrinsics) -> Option<usiz
     };
     let matched = |n: &usize| shot.matches.iter().any(|(bead, _)| bead == n);
     Some((0..beads.len()).filter(|n| matched(n) || shows(&beads[*n])).count())
-}
-
-fn straightened(shadow: &Detection, distortion: &crate::geometry::Distortion) -> Detection {
-    let enlarged = distortion.jacobian(shadow.image_px).determinant().sqrt();
-    Detection {
-        image_px: distortion.undistorted(shadow.image_px),
-        radius_px: shadow.radius_px * enlarged,
-        sigma_px: shadow.sigma_px * enlarged,
-        ..*shadow
-    }
 }

@@ -24,6 +24,7 @@ mod calibrate_intensifier_error;
 pub mod check;
 pub mod compare;
 mod compare_origin;
+mod compare_pictures;
 mod compare_table;
 #[cfg(feature = "learn")]
 pub mod dataset;

@@ -85,6 +85,12 @@ pub enum ImageFileError {
         /// What the tag says.
         found: u16,
     },
+    /// The file shows zero white.
+    #[error("{path}: TIFF photometric interpretation (tag 262) is 0, white is zero, expected 1; write it with zero as black", path = path.display())]
+    WhiteIsZero {
+        /// The file.
+        path: PathBuf,
+    },
     /// The samples are not 32-bit float, or there are several per pixel.
     #[error("{path}: expected one 32-bit float per pixel, found {found}", path = path.display())]
     NotFloat {
@@ -325,6 +331,10 @@ pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
         if let Some(found) = decoder.find_tag_unsigned(tiff::tags::Tag::Orientation).map_err(damaged)?.filter(|order| *order != 1)
         {
             return Err(ImageFileError::Turned { path: path.to_owned(), found });
+        }
+        // The decoder would turn the values round.
+        if decoder.find_tag_unsigned::<u16>(tiff::tags::Tag::PhotometricInterpretation).map_err(damaged)? == Some(0) {
+            return Err(ImageFileError::WhiteIsZero { path: path.to_owned() });
         }
         let samples = decoder.read_image().map_err(damaged)?;
         let page = match samples {

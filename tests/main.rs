@@ -250,6 +250,7 @@ mod crosscheck_facts;
 mod crosscheck_tags;
 mod crosscheck_image;
 mod crosscheck_robot;
+mod check_ended;
 mod crosscheck_session;
 mod crosscheck_rehearsal;
 mod crosscheck_metal;

@@ -265,3 +265,4 @@ mod session_said;
 mod session_stalls;
 mod session_unplugged;
 mod session_video;
+mod written_lasting;

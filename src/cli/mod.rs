@@ -62,6 +62,7 @@ mod scattered;
 mod session_ask;
 pub mod session_new;
 mod shot_files;
+mod signals;
 pub mod spectrum;
 pub mod tags;
 pub mod time;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use super::Image;
+use super::new_file::sync_folder;
 use crate::regular;
 
 /// Why an image file could not be read or written.
@@ -111,7 +112,8 @@ pub enum ImageFileError {
     },
 }
 
-/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one, after a loss of power too.
+/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one, after a loss of power too. When it
+/// returns, the new one is on the disk.
 ///
 /// # Errors
 /// When the folder is missing or not writable, or the disk is full; nothing is left behind then.
@@ -157,6 +159,9 @@ pub fn write_lasting(
         temporary.as_file().sync_all().map_err(io)?;
     }
     temporary.persist(path).map_err(|error| io(error.error))?;
+    if lasting == Lasting::AtOnce {
+        sync_folder(path);
+    }
     Ok(())
 }
 

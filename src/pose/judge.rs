@@ -98,6 +98,14 @@ impl Case<'_> {
                 settled.chi2_per_dof.sqrt()
             ));
         }
+        let misstated = self.detections.iter().filter(|shadow| shadow.misstates_covariance()).count();
+        if misstated > 0 {
+            cautions.say(format!(
+                "what is stated as the covariance of {misstated} of {} shadows is none: they are taken to be known alike along all directions, \
+                 as badly as along the worst that is stated",
+                self.detections.len()
+            ));
+        }
         if matched == self.request.fewest() {
             cautions.say(format!(
                 "no more than {matched} beads carry the pose: if one of them has moved, nothing here can tell; bring more into view"

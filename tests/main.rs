@@ -71,6 +71,7 @@ mod pose_synthetic;
 mod pose_together;
 mod pose_unseen;
 mod pose_together_command;
+mod pose_together_flat;
 mod pose_accuracy;
 mod pose_angles;
 mod pose_command;

@@ -7,6 +7,8 @@ use std::sync::OnceLock;
 
 use sidecarm::record::{LogEntry, read_log, topic};
 
+use crate::live_lab::drawn;
+
 fn sidecarm(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).output().expect("the program starts")
 }
@@ -49,7 +51,9 @@ pub fn demo() -> Option<&'static (PathBuf, Output)> {
     let run = || {
         let lab = Path::new(env!("CARGO_TARGET_TMPDIR")).join("demo");
         let _ = std::fs::remove_dir_all(&lab);
-        let run = sidecarm(&["demo", "--headless", "--seconds", "10", "--out", text(&lab)]);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.args(["demo", "--headless", "--seconds", "10", "--out", text(&lab)]).env("MOCK_LAB_DRAWN", drawn());
+        let run = command.output().expect("the program starts");
         assert!(run.status.success(), "{}", words(&run));
         (lab, run)
     };

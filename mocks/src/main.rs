@@ -123,7 +123,7 @@ struct Args {
     #[arg(long)]
     kit_only: bool,
     /// A CT and pictures that lie in this folder are not drawn again, and those that are drawn are kept there, for other runs of this very
-    /// program.
+    /// program. Without it, the folder that the environment names as MOCK_LAB_DRAWN.
     #[arg(long, value_name = "FOLDER")]
     drawn: Option<PathBuf>,
 }
@@ -148,7 +148,9 @@ fn tag_lie(text: &str) -> Result<(TagLie, usize), String> {
 }
 
 fn main() -> ExitCode {
-    match run(&Args::parse()) {
+    let mut args = Args::parse();
+    args.drawn = args.drawn.take().or_else(|| std::env::var_os("MOCK_LAB_DRAWN").map(PathBuf::from));
+    match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("mock-lab: {error}");

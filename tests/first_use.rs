@@ -156,6 +156,8 @@ fn check_reads_the_newest_frame_as_the_session_says() {
         let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
             .args(["check", "declared.json", "--json", "--limit", "300"])
             .current_dir(&lab)
+            // An exposure is not rehearsed where it has no place for its files.
+            .env("TMPDIR", lab.join("nowhere"))
             .output()
             .expect("runs");
         let found: Value = serde_json::from_slice(&run.stdout).expect("JSON");

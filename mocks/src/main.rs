@@ -72,6 +72,9 @@ struct Args {
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
     #[arg(long, default_value_t = 1.0)]
     rate: f64,
+    /// The same when the session is over, for --idle-s; as --rate when absent.
+    #[arg(long)]
+    idle_rate: Option<f64>,
     /// How often the scripted exposures are played within the session.
     #[arg(long, default_value_t = 1)]
     repeat: usize,
@@ -172,6 +175,8 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--unplugged-s", args.unplugged_s.unwrap_or(1.0), 0.01, 86_400.0)?;
     within("--stalled", args.stalled, 0.0, 0.9)?;
     within("--rate", args.rate, 0.01, 100.0)?;
+    let idle_rate = args.idle_rate.unwrap_or(args.rate);
+    within("--idle-rate", idle_rate, 0.01, 1000.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
     let mut lab = Lab::embedded()?.at_stands(&args.stands)?.repeated(args.repeat);
@@ -229,6 +234,7 @@ fn run(args: &Args) -> Result<(), MockError> {
         idle_s: args.idle_s,
         linger_s: args.linger_s,
         rate: args.rate,
+        idle_rate,
         faults,
         unplugged_s: args.unplugged_s,
         stalled: args.stalled,

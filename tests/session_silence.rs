@@ -4,9 +4,9 @@ use crate::live_lab::{HANG_S, Lab, Live};
 
 /// Plays a session with `faults`; the exit code, what was printed, the report.
 fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
-    let lab = Lab::start(&["--duration-s", "12", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?.without_ct();
+    let lab = Lab::start(&["--duration-s", "9", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?.without_ct();
     let folder = tempfile::tempdir().expect("temporary folder");
-    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "14"]);
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "11"]);
     let code = live.program.end(HANG_S).expect("it ends").code();
     Some((code, live.stderr(), live.report()))
 }

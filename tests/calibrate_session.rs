@@ -15,6 +15,7 @@ use sidecarm::record::{read_log, topic};
 use crate::lab_truth::wait_for_pairs;
 use crate::live_lab::{HANG_S, Lab, Live, Signal};
 use crate::replay_meddled::meddled;
+use crate::scene_support::tell_costs;
 use crate::session_names::replay;
 
 /// The kit's frames as the console would store them.
@@ -162,6 +163,7 @@ fn pairs_of_radius(lab: &Lab, radius_mm: f64) -> Vec<Value> {
         true
     });
     assert_eq!(changed, 1);
+    tell_costs(&lab.kit.join("cache"));
     let (code, words) = replay(&log, Some(&lab.kit), &lab.kit.join("cache"), &again);
     assert_eq!(code, Some(3), "other poses than those of the log: {words}");
     pairs_in(&again)

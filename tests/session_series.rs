@@ -11,6 +11,7 @@ use sidecarm::scene::{VolumeSource, read_volume};
 use crate::acquire_identity::{hits, written};
 use crate::lab_truth::wait_for_pairs;
 use crate::live_lab::{HANG_S, Lab, Live, Signal};
+use crate::scene_support::tell_costs;
 use crate::session_names::{far_copy, replay};
 use crate::volume_files::{Sample, number, save_series};
 
@@ -57,6 +58,7 @@ fn a_session_with_a_series_says_nothing_of_its_patient_and_replays() {
     assert!(hits(&outputs, &sha256).len() >= 3, "{:?}", hits(&outputs, &sha256));
 
     let (elsewhere, nothing) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+    tell_costs(nothing.path());
     let log = far_copy(&live.log, home.path());
     let data = elsewhere.path().join("data/below");
     std::fs::create_dir_all(&data).expect("folders");

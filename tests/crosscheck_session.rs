@@ -53,6 +53,11 @@ pub fn move_beads(folder: &Path, change: impl Fn([f64; 3]) -> [f64; 3]) {
     });
 }
 
+/// Takes the CT out of the scene, which costs a pair most and says nothing of beads and robot.
+pub fn take_ct_away(folder: &Path) {
+    edit(folder, "scene.json", |scene| scene["objects"].as_array_mut().expect("a list").retain(|object| object["ct"].is_null()));
+}
+
 /// What `sidecarm check --json` says, by check, level and words, and its exit code.
 pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
     check_within(folder, &std::env::temp_dir())

@@ -1,7 +1,8 @@
 //! The `sidecarm-video` program: opens a video with OpenCV and hands its pictures to `sidecarm`, which starts it.
 //!
 //! A program of its own, since OpenCV's video brings 250 shared libraries: each start of `sidecarm` would wait a third of a second for them.
-//! What it writes to its standard output is that of `src/acquire/video/capture.rs`. It ends when its standard input does.
+//! What it writes to its standard output is that of `src/acquire/video/capture.rs`; what libraries and drivers would write there goes to standard
+//! error. It ends when its standard input does.
 
 use std::io::{BufWriter, Read, Write};
 
@@ -30,9 +31,32 @@ fn main() -> std::process::ExitCode {
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
         leave();
     });
+    let out = match out_for_pictures() {
+        Ok(out) => out,
+        Err(error) => {
+            eprintln!("sidecarm-video: standard output cannot be kept for pictures ({error})");
+            return std::process::ExitCode::FAILURE;
+        }
+    };
     // Who does not listen any more needs no word.
-    let _ = tell(&from, &mut BufWriter::new(std::io::stdout().lock()));
+    let _ = tell(&from, &mut BufWriter::new(out));
     std::process::ExitCode::SUCCESS
+}
+
+/// Standard output under another number. Its own number is standard error's from now on: a word of a library among the pictures would be taken
+/// for a part of one.
+#[cfg(unix)]
+fn out_for_pictures() -> std::io::Result<std::fs::File> {
+    use std::os::fd::AsFd;
+    let out = std::io::stdout().as_fd().try_clone_to_owned()?;
+    rustix::stdio::dup2_stdout(std::io::stderr())?;
+    Ok(std::fs::File::from(out))
+}
+
+/// Standard output, in which libraries write as well.
+#[cfg(not(unix))]
+fn out_for_pictures() -> std::io::Result<std::io::StdoutLock<'static>> {
+    Ok(std::io::stdout().lock())
 }
 
 /// Whoever started it is gone. What libraries do when a process exits may wait for the very driver that hangs: none of it is done.

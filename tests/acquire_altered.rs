@@ -6,7 +6,7 @@ use std::process::Command;
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
-use sidecarm::acquire::{Frame, read_frame, read_frames};
+use sidecarm::acquire::{Domain, Frame, read_frame, read_frames};
 use sidecarm::mask;
 
 use crate::acquire_foreign::tiff_directory;
@@ -142,6 +142,43 @@ fn a_tiff_is_read_as_it_is_shown() {
     let odd = read_frame(&written(folder.path(), &[(STORED[0].1, 9)]), None).expect("readable");
     assert_eq!(odd.pixels.pixels, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
     assert!(odd.altered.iter().any(|words| words.contains("is 9, expected 1 to 8")), "{:?}", odd.altered);
+}
+
+/// Little-endian TIFF whose photometric interpretation (tag 262, one SHORT) is made "white is zero".
+fn zero_is_white(path: &Path) {
+    let mut bytes = std::fs::read(path).expect("readable");
+    let entry = [6, 1, 3, 0, 1, 0, 0, 0, 1, 0];
+    let at = bytes.windows(entry.len()).position(|window| window == entry).expect("black is zero");
+    bytes[at + 8] = 0;
+    std::fs::write(path, bytes).expect("written");
+}
+
+/// The decoder turns such values round without a word: integers about the ends of their type, floats about one half, whatever they mean.
+#[test]
+fn a_tiff_whose_zero_is_white_says_so_and_keeps_what_is_measured() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = written(folder.path(), &[(STORED[0].1, 1)]);
+    zero_is_white(&path);
+    let grey = read_frame(&path, Some(Domain::Linear)).expect("readable");
+    assert_eq!(grey.pixels.pixels, [254.0, 253.0, 252.0, 251.0, 250.0, 249.0]);
+    assert!(grey.inverted && grey.turned_about == Some(255.0), "{:?}", grey.turned_about);
+    assert!(grey.altered.iter().any(|words| words.contains("(tag 262) is 0, white is zero: turned round")), "{:?}", grey.altered);
+    let log = read_frame(&path, Some(Domain::Log)).expect("readable");
+    assert_eq!(log.pixels.pixels, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "larger is more attenuation, as stored");
+    assert!(!log.inverted && log.altered.iter().any(|words| words.contains("taken as they are")), "{:?}", log.altered);
+
+    let line_integrals = sidecarm::image::Image { width: 3, height: 1, pixels: vec![0.25f32, 3.0, 8.5] };
+    let path = folder.path().join("float.tif");
+    sidecarm::image::write_tiff_f32(&path, std::slice::from_ref(&line_integrals)).expect("written");
+    assert!(read_frame(&path, Some(Domain::Log)).expect("readable").altered.is_empty(), "control: black is zero");
+    zero_is_white(&path);
+    for domain in [Domain::Log, Domain::Linear] {
+        let float = read_frame(&path, Some(domain)).expect("readable");
+        assert_eq!(float.pixels.pixels, line_integrals.pixels);
+        assert!(float.altered.iter().any(|words| words.contains("white is zero")), "{:?}", float.altered);
+    }
+    let complaint = sidecarm::image::read_tiff_f32(&path).expect_err("turned round").to_string();
+    assert!(complaint.contains("white is zero, expected 1"), "{complaint}");
 }
 
 /// Images of this program have no orientation; one that got it elsewhere is refused, since nobody would hear of a note.

@@ -82,7 +82,7 @@ fn record(path: &Path, shown: &[Shown], clock: bool) -> Vec<(u32, u32)> {
 
 fn grab(video: &Path, into: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    // OpenCV's words go to standard output then: none of them may come among the pictures.
+    // OpenCV's words go to its standard output then: none of them may come among the pictures.
     command.env("OPENCV_LOG_LEVEL", "INFO");
     command.arg("grab").arg(video).arg("--into").arg(into).args(more).output().expect("runs")
 }
@@ -267,4 +267,46 @@ fn a_reader_of_videos_ends_with_whoever_started_it() {
     assert!(reader.end(0.5).is_none(), "the control: it waits");
     drop(reader.0.stdin.take());
     assert!(reader.end(HANG_S).is_some(), "it goes on");
+}
+
+/// A word that OpenCV or a driver wrote to standard output was taken for a part of a picture, and the video was over.
+#[cfg(unix)]
+#[test]
+fn words_of_libraries_do_not_come_among_the_pictures() {
+    use std::process::Stdio;
+    const PICTURES: usize = 3;
+    let folder = tempfile::tempdir().expect("a folder");
+    let video = folder.path().join("monitor.avi");
+    record(&video, &[Shown::Held(PICTURES as u32)], false);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm-video"));
+    command.arg(&video).env("OPENCV_LOG_LEVEL", "INFO").stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut reader = command.spawn().expect("starts");
+    // It ends with its standard input.
+    let input = reader.stdin.take();
+    let ran = reader.wait_with_output().expect("ends");
+    drop(input);
+    let words = String::from_utf8_lossy(&ran.stderr);
+    assert!(words.contains("INFO"), "the control, OpenCV says something: {words}");
+    // Open, then the pictures, then the end.
+    let bytes = 1 + 2 + 8 + PICTURES * (1 + 8 + SIZE[0] * SIZE[1]) + 1;
+    assert_eq!((ran.stdout.len(), ran.stdout.first(), ran.stdout.last()), (bytes, Some(&b'O'), Some(&b'E')), "{words}");
+}
+
+/// Who grabs heard nothing of a session's end while its driver opened the device, here a pipe that nobody opens.
+#[cfg(unix)]
+#[test]
+fn a_video_that_does_not_open_is_left_when_the_session_ends() {
+    use crate::live_lab::{HANG_S, Running};
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("monitor.y4m");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    command.arg("grab").arg(&pipe).arg("--into").arg(folder.path()).args(["--attended", "--json"]);
+    command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut grabbing = Running(command.spawn().expect("starts"));
+    assert!(grabbing.end(0.5).is_none(), "the control: it waits");
+    drop(grabbing.0.stdin.take());
+    let status = grabbing.end(HANG_S).expect("it goes on");
+    assert!(status.success(), "{status}");
 }

@@ -139,36 +139,55 @@ const OPENINGS: [&str; 7] = [
     "OpenOptions::new(",
 ];
 /// Where one stands for a reason.
-const OPENS: [(&str, &str); 5] = [
+const OPENS: [(&str, &str); 6] = [
     ("regular.rs", "asks first what it is"),
     ("memory.rs", "the system's own figures"),
     ("cli/devices.rs", "the system's own figures"),
     ("cli/time.rs", "the system's own figures"),
     ("record/recorder.rs", "makes a log, and reads none"),
+    ("image/new_file.rs", "puts on the disk what it has just written, and its folder"),
 ];
 
-/// What of `text`, tests left out, opens a file whatever it is.
-fn openings(text: &str) -> Vec<&'static str> {
+/// What writes a file under its name, where it is seen half written and a loss of power leaves it empty.
+const WRITINGS: [&str; 3] = ["fs::write(", " File::create(", "fs::File::create("];
+/// Where one stands for a reason.
+const WRITES: [(&str, &str); 2] =
+    [("image/video.rs", "under a name that is no file's yet"), ("session/chime.rs", "in a temporary folder")];
+
+/// Which of `calls` stand in `text`, tests left out.
+fn calls(text: &str, calls: &[&'static str]) -> Vec<&'static str> {
     let code = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
-    OPENINGS.into_iter().filter(|opening| code.contains(opening)).collect()
+    calls.iter().copied().filter(|call| code.contains(call)).collect()
+}
+
+/// Asserts that no file of the library but those of `exceptions` has one of `listed`, and that each of those has.
+fn assert_only(exceptions: &[(&str, &str)], listed: &[&'static str], remedy: &str) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let (mut files, mut known) = (Vec::new(), 0);
+    rust_files(&root, &mut files);
+    for file in files.iter().filter(|file| !file.ends_with("tests.rs")) {
+        let found = calls(&std::fs::read_to_string(file).expect("source is text"), listed);
+        let name = file.strip_prefix(&root).expect("below src").to_string_lossy().replace('\\', "/");
+        let is_known = exceptions.iter().any(|(of, _)| *of == name);
+        assert!(found.is_empty() || is_known, "{name}: {found:?}: {remedy}");
+        known += usize::from(is_known && !found.is_empty());
+    }
+    assert_eq!(known, exceptions.len(), "an exception that is none any more");
 }
 
 #[test]
 fn files_are_opened_where_it_is_asked_what_they_are() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let (mut files, mut known) = (Vec::new(), 0);
-    rust_files(&root, &mut files);
-    for file in &files {
-        let found = openings(&std::fs::read_to_string(file).expect("source is text"));
-        let name = file.strip_prefix(&root).expect("below src").to_string_lossy().replace('\\', "/");
-        let is_known = OPENS.iter().any(|(of, _)| *of == name);
-        assert!(found.is_empty() || is_known, "{name}: {found:?}: open it with crate::regular");
-        known += usize::from(is_known && !found.is_empty());
-    }
-    assert_eq!(known, OPENS.len(), "an exception that is none any more");
+    assert_only(&OPENS, &OPENINGS, "open it with crate::regular");
     // The control, and what tests open.
-    assert_eq!(openings("let text = std::fs::read(path)?;"), ["fs::read("]);
-    assert!(openings("regular::read(path);\n#[cfg(test)]\nmod tests { std::fs::read(path) }").is_empty());
+    assert_eq!(calls("let text = std::fs::read(path)?;", &OPENINGS), ["fs::read("]);
+    assert!(calls("regular::read(path);\n#[cfg(test)]\nmod tests { std::fs::read(path) }", &OPENINGS).is_empty());
+}
+
+/// Bindings of `attach` were written under their own name.
+#[test]
+fn files_are_written_where_they_appear_whole() {
+    assert_only(&WRITES, &WRITINGS, "write it with crate::image::write_atomically, or with NewFile");
+    assert_eq!(calls("std::fs::write(path, text)?; NewFile::create(path)?", &WRITINGS), ["fs::write("], "the control");
 }
 
 /// Why a test is ignored names the command of `scripts/evaluate` that runs it, and that command runs it.

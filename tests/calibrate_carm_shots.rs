@@ -200,3 +200,17 @@ fn shots_that_give_no_arm_are_refused_for_their_reason() {
     let mixed = refused(&|shots| (0..5).for_each(|n| shots[2 * n].joints.orbital_rad += 0.2 + 0.1 * n as f64));
     assert!(matches!(&mixed, CarmFitError::Residual { times, .. } if *times > 10.0), "{mixed}");
 }
+
+/// Of poses that rest on two layouts, the place that the first shot stated stood for all.
+#[test]
+fn shots_that_state_other_places_of_a_bead_are_named() {
+    let mut shots = shots(8);
+    shots[3].beads[2].lps_mm += DVec3::new(0.0, 0.0, 1.2);
+    match calibrate(&shots, &nominal(), &GOOD) {
+        Err(CarmFitError::OtherPlace { bead, shots: named, distance_mm, .. }) => {
+            assert_eq!((bead.as_str(), named), ("bead-02", ["shot-00".to_owned(), "shot-03".to_owned()]));
+            assert!((distance_mm - 1.2).abs() < 1e-9, "{distance_mm}");
+        }
+        other => panic!("{:?}", other.map(|fit| fit.chi2_per_dof)),
+    }
+}

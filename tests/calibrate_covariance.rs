@@ -65,9 +65,15 @@ fn covariances_go_from_the_layout_through_the_pose_into_the_shot() {
         assert!(own.noise_px2.iter().zip([uu, uv, vv]).all(|(own, stated)| (own - stated).abs() <= 1e-12 * (uu + vv)));
     }
     // What is no covariance is no pose file.
-    let mut wrong = written;
+    let mut wrong = written.clone();
     wrong["beads"][0]["covariance_mm2"][1][1] = json!(-1.0);
     assert!(read(&wrong).expect_err("refused").to_string().contains("is not positive"));
+    for list in ["beads", "shadows"] {
+        let mut wrong = written.clone();
+        wrong[list][0]["covariance_px2"] = json!([[0.04, 0.06], [0.06, 0.04]]);
+        let words = read(&wrong).expect_err("refused").to_string();
+        assert!(words.contains("is no covariance"), "{list}: {words}");
+    }
 }
 
 /// A console turned the picture by 13 degrees and binned it: in the panel's picture the ellipse is turned back, and twice as large.

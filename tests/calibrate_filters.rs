@@ -158,7 +158,7 @@ fn a_frame_behind_a_filter_that_was_not_calibrated_is_doubted_in_its_pair() {
     let other = beam(vec![layer("ALUMINUM", 4.3), layer("COPPER", 1.0)], "MULTIPLE", 20_000.0);
     let detector = json!({"origin": "test", "columns_px": 620, "rows_px": 480, "offset_value": 0.0, "beams": [other, own]});
     std::fs::write(lab.kit.join("filters.json"), detector.to_string()).expect("written");
-    let (_, pairs, said) = session(&lab, "9", |session| session["detector"] = json!("filters.json"));
+    let (_, pairs, said) = session(&lab, |session| session["detector"] = json!("filters.json"));
     let pair = |frame: &str| pairs.iter().find(|pair| pair["frame"] == frame).unwrap_or_else(|| panic!("{frame}: {said}"));
     let (first, second) = (pair("frame-001"), pair("frame-002"));
     let level = first["air"]["level"].as_f64().unwrap_or(f64::NAN);

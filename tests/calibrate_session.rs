@@ -12,8 +12,10 @@ use sidecarm::mask::discs;
 use sidecarm::pose::{Refusal, Registration};
 use sidecarm::record::{read_log, topic};
 
-use crate::live_lab::{HANG_S, Lab, Live};
+use crate::lab_truth::wait_for_pairs;
+use crate::live_lab::{HANG_S, Lab, Live, Signal};
 use crate::replay_meddled::meddled;
+use crate::scene_support::tell_costs;
 use crate::session_names::replay;
 
 /// The kit's frames as the console would store them.
@@ -64,14 +66,17 @@ fn binned(picture: &Image<f32>) -> Image<f32> {
     Image { width, height, pixels: (0..width * height).map(at).collect() }
 }
 
-/// Runs a session on what lies in the folder; gives the poses of the log, the pairs, and what was said.
-pub fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Value>, Vec<Value>, String) {
+/// Runs a session on what lies in the folder, until each file has its pair; gives the poses of the log, the pairs, and what was said.
+pub fn session(lab: &Lab, change: impl FnOnce(&mut Value)) -> (Vec<Value>, Vec<Value>, String) {
     let file = lab.session("declared.json", |value| {
         value["robot"] = Value::Null;
         change(value);
     });
     let out = lab.kit.join("out");
-    let mut live = Live::launch(&file, &out, &["--include-existing", "--seconds", seconds]);
+    let files = std::fs::read_dir(lab.frames()).expect("frames").count();
+    let mut live = Live::launch(&file, &out, &["--include-existing"]);
+    wait_for_pairs(&live, files);
+    live.signalled(Signal::INT);
     let ended = live.program.end(HANG_S);
     let said = live.stdout() + &live.stderr();
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{said}");
@@ -158,6 +163,7 @@ fn pairs_of_radius(lab: &Lab, radius_mm: f64) -> Vec<Value> {
         true
     });
     assert_eq!(changed, 1);
+    tell_costs(&lab.kit.join("cache"));
     let (code, words) = replay(&log, Some(&lab.kit), &lab.kit.join("cache"), &again);
     assert_eq!(code, Some(3), "other poses than those of the log: {words}");
     pairs_in(&again)
@@ -177,7 +183,7 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
     // One that the console did not crop: its K is not known, and that is said with what to do.
     write_png16(&lab.frames().join("frame-009.png"), &mirrored(&turned(&pictures[0])));
     without_radii(&lab);
-    let (poses, pairs, said) = session(&lab, "9", |session| {
+    let (poses, pairs, said) = session(&lab, |session| {
         session["domain"] = json!("linear");
         session["console"] = json!({"rotation_deg": 90, "flip": "horizontal", "crop_px": shown});
         session["detector"] = json!("detector.json");
@@ -233,7 +239,7 @@ fn a_display_picture_gets_the_scores_that_are_legal_for_it() {
         let shown = binned(picture).map(|v| 255.0 * (v / 40_000.0).clamp(0.0, 1.0).powf(0.4));
         write_png8(&lab.frames().join(format!("frame-{:03}.png", index + 1)), &shown);
     }
-    let (poses, pairs, said) = session(&lab, "9", |session| {
+    let (poses, pairs, said) = session(&lab, |session| {
         session["domain"] = json!("display");
         session["console"] = json!({"binning": 2});
     });

@@ -152,6 +152,21 @@ fn an_affine_tone_is_undone_and_scored_on_other_tiles() {
     assert!(fitted.tone.degrees_of_freedom == 2 && fitted.tone.fitted_pixels > 10_000 && fitted.tone.scored_pixels > 10_000);
 }
 
+/// What a logarithm is clipped at was scored as if it had been measured.
+#[test]
+fn the_clipped_dark_end_of_a_logarithm_is_left_out() {
+    let simulated = line_integral(&view());
+    let clip = 0.8 * simulated.pixels.iter().copied().fold(0.0, f32::max);
+    let mut frame = Frame::from_pixels("log", simulated.map(|l| l.min(clip)), Domain::Log).expect("finite");
+    frame.unit = Some("neper".into());
+    let scored = compared(&CompareInput::new(&frame, &simulated)).comparison;
+    assert!(scored.scores.rmse_nepers.expect("known") > 0.01, "control: floats are not known to be clipped");
+    frame.clipping.black_at = Some(clip);
+    let found = compared(&CompareInput::new(&frame, &simulated)).comparison;
+    assert!(found.scores.rmse_nepers.expect("known") < 1e-6, "{:?}", found.scores);
+    assert!(found.masks.causes.contains_key(&Cause::NoSignal), "{:?}", found.masks);
+}
+
 #[test]
 fn a_monotone_tone_suits_display_frames_only_and_never_claims_nepers() {
     let simulated = line_integral(&view());

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::{Value, json as value};
 
 use crate::crosscheck_image::{json, kit};
-use crate::crosscheck_session::{check, copy, edit, live, move_beads};
+use crate::crosscheck_session::{check, check_unrehearsed, copy, edit, live, move_beads};
 use crate::session_demo::mock_is_built;
 
 const CHECK: &str = "beads and CT metal";
@@ -104,7 +104,7 @@ fn a_layout_that_is_not_the_metal_of_the_ct_is_named_with_its_remedy_and_the_rig
     let bare = copy(&lab, "bare");
     mirror(&bare);
     let row = |rows: &[(String, String, String)]| rows.iter().find(|row| row.0 == CHECK).expect("checked").clone();
-    let (_, level, words) = row(&check(&bare).0);
+    let (_, level, words) = row(&check_unrehearsed(&bare).0);
     assert!(level == "pass" && words.contains("nothing can be said"), "{words}");
 
     scan_with_metal(&lab, &beads(&lab));
@@ -118,7 +118,7 @@ fn a_layout_that_is_not_the_metal_of_the_ct_is_named_with_its_remedy_and_the_rig
     for (name, spoil, expected, says) in FAULTS {
         let spoiled = copy(&lab, name);
         spoil(&spoiled);
-        let (_, level, words) = row(&check(&spoiled).0);
+        let (_, level, words) = row(&check_unrehearsed(&spoiled).0);
         assert_eq!(level, expected, "{name}: {words}");
         assert!(says.iter().all(|word| words.contains(word)) && !words.ends_with("→ "), "{name}: {says:?} are not in: {words}");
         cases += 1;

@@ -10,7 +10,7 @@ use dicom_dictionary_std::tags;
 use serde_json::{Value, json as value};
 
 use crate::crosscheck_image::json;
-use crate::crosscheck_session::{check_within, copy, edit, move_beads};
+use crate::crosscheck_session::{check_unrehearsed, check_within, copy, edit, move_beads};
 use crate::live_lab::Lab;
 
 /// Check, level, words.
@@ -60,7 +60,7 @@ fn the_newest_frame_is_registered_as_a_live_one_and_damaged_ones_are_named() {
     let bytes = std::fs::read(&frame).expect("readable");
     std::fs::write(lab.frames().join("frame-002.dcm"), &bytes[..bytes.len() / 2]).expect("written");
     std::fs::write(lab.frames().join("notes.txt"), "two shots tomorrow").expect("written");
-    let (rows, _) = check_within(&lab.kit, temporary.path());
+    let (rows, _) = check_unrehearsed(&lab.kit);
     let (_, level, words) = row(&rows, "unreadable frame");
     assert!(level == "warn" && words.contains("frame-002") && words.contains("export it again"), "{words}");
     assert_eq!(row(&rows, "newest frame's pose").1, "pass");
@@ -71,7 +71,7 @@ fn the_newest_frame_is_registered_as_a_live_one_and_damaged_ones_are_named() {
     object.put(DataElement::new(tags::DISTANCE_SOURCE_TO_DETECTOR, VR::DS, PrimitiveValue::from("740")));
     object.write_to_file(lab.frames().join("frame-003.dcm")).expect("written");
     move_beads(&lab.kit, |[x, y, z]| [z, x, y]);
-    let (rows, _) = check_within(&lab.kit, temporary.path());
+    let (rows, _) = check_unrehearsed(&lab.kit);
     let (_, level, words) = row(&rows, "SID");
     assert!(level == "warn" && words.contains("740") && words.contains("1020"), "{words}");
     let (_, level, words) = row(&rows, "newest frame's pose");

@@ -11,7 +11,7 @@ use sidecarm::session::file::Setup;
 use sidecarm::telemetry::{CarmSample, RobotSample, Sample, Tendon};
 
 use crate::crosscheck_facts::{calibration, sample, scene, setup};
-use crate::crosscheck_session::{Mock, check, copy, edit, live};
+use crate::crosscheck_session::{Mock, check, check_unrehearsed, copy, edit, live, take_ct_away};
 use crate::session_demo::mock_is_built;
 
 /// A box of water with the robot beside its middle; `base_mm` is where the scene has the base.
@@ -278,7 +278,7 @@ fn check_says_what_odd_devices_say() {
     let far = copy(&mock.lab, "far");
     let identity = value!([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
     edit(&far, "session.json", |session| session["world_from_tracker"] = identity);
-    let (rows, _) = check(&far);
+    let (rows, _) = check_unrehearsed(&far);
     warned(&rows, "robot base", &["the tracker puts the robot", "mm from all else"]);
 }
 
@@ -289,7 +289,7 @@ fn a_robot_that_is_drawn_otherwise_than_it_may_be_is_said_in_each_pair() {
         return;
     }
     let folder = tempfile::tempdir().expect("temporary folder");
-    let (pairs, report, words) = live(folder.path(), &["--odd", "tracked,sensed-at-first,apart,swaying"], |_| ());
+    let (pairs, report, words) = live(folder.path(), &["--odd", "tracked,sensed-at-first,apart,swaying"], take_ct_away);
     let cautions: Vec<String> = pairs.iter().map(|pair| pair["robot_cautions"].to_string()).collect();
     assert!(cautions.iter().all(|said| said.contains("no world_from_tracker")), "{cautions:#?}");
     assert!(cautions.iter().all(|said| said.contains("the robot bent by ")), "{cautions:#?}");
@@ -315,6 +315,7 @@ fn a_base_that_the_tracker_loses_is_said_and_drawn_where_the_scene_has_it() {
     }
     let folder = tempfile::tempdir().expect("temporary folder");
     let (pairs, _, words) = live(folder.path(), &["--odd", "tracked-at-first"], |lab| {
+        take_ct_away(lab);
         let identity = value!([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
         edit(lab, "session.json", |session| session["world_from_tracker"] = identity);
     });

@@ -8,10 +8,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use rustix::process::{Pid, kill_process};
 use serde_json::{Value, json as value};
 use serialport::{SerialPort, TTYPort};
 
 use crate::crosscheck_image::{json, kit};
+use crate::live_lab::{HANG_S, Signal, eventually};
 use crate::session_demo::mock_is_built;
 use crate::session_names::replay_words;
 
@@ -51,9 +53,19 @@ pub fn move_beads(folder: &Path, change: impl Fn([f64; 3]) -> [f64; 3]) {
     });
 }
 
+/// Takes the CT out of the scene, which costs a pair most and says nothing of beads and robot.
+pub fn take_ct_away(folder: &Path) {
+    edit(folder, "scene.json", |scene| scene["objects"].as_array_mut().expect("a list").retain(|object| object["ct"].is_null()));
+}
+
 /// What `sidecarm check --json` says, by check, level and words, and its exit code.
 pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
     check_within(folder, &std::env::temp_dir())
+}
+
+/// The same without the exposure that is rehearsed, which has no place for its files: for faults that other checks name.
+pub fn check_unrehearsed(folder: &Path) -> (Vec<(String, String, String)>, i32) {
+    check_within(folder, &folder.join("nowhere"))
 }
 
 /// The same; its temporary files go to `temporary`.
@@ -227,7 +239,7 @@ fn faults_of_files_are_each_named_with_their_remedy() {
         for (_, spoil, ..) in faults.iter().copied() {
             spoil(&spoiled);
         }
-        let (rows, code) = check(&spoiled);
+        let (rows, code) = check_unrehearsed(&spoiled);
         for (name, _, check_name, level, words) in faults {
             let row = rows.iter().find(|row| row.0 == *check_name && row.1 == *level);
             let row = row.unwrap_or_else(|| panic!("{name}: no {level} of '{check_name}' in {rows:#?}"));
@@ -327,7 +339,7 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
     });
     let broken = copy(&mock.lab, "broken");
     edit(&broken, "session.json", |s| (s["carm"]["port"], s["robot"]["port"]) = (value!(silent_path), value!(noisy_path)));
-    let (rows, code) = check(&broken);
+    let (rows, code) = check_unrehearsed(&broken);
     stop.store(true, Ordering::Relaxed);
     noise.join().expect("ends");
     let (_, level, words) = port(&rows, "C-arm port");
@@ -337,24 +349,37 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
     assert_eq!(code, 1);
 }
 
-/// Runs `live` on a mocked laboratory whose files `spoil` has changed; the pairs, the report and what was printed.
+/// Runs `live` on a mocked laboratory whose files `spoil` has changed, until its three frames have their pairs; those, the report and what was
+/// printed.
 pub fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
-    let mut all = vec!["--duration-s", "8", "--exposures", "3", "--faults", "none", "--start-delay-s", "1", "--linger-s", "1"];
+    const FRAMES: usize = 3;
+    let exposures = FRAMES.to_string();
+    let mut all =
+        vec!["--duration-s", "8", "--exposures", &exposures, "--faults", "none", "--start-delay-s", "1", "--idle-s", "300"];
     all.extend(options);
     let mock = Mock::start(folder, &all);
     spoil(&mock.lab);
     let session = mock.lab.join("session.json");
-    let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
-        .arg("live")
-        .arg(session)
-        .args(["--headless", "--seconds", "13", "--include-existing"])
-        .output()
-        .expect("runs");
-    let words = format!("{}{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr), run.status);
     let out = mock.lab.join("session");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    command.arg("live").arg(session).args(["--headless", "--include-existing"]);
+    let live = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let id = Pid::from_child(&live);
+    let running = std::thread::spawn(move || live.wait_with_output().expect("runs"));
+    let count = || {
+        let pairs: Value = serde_json::from_slice(&std::fs::read(out.join("pairs.json")).unwrap_or_default()).unwrap_or_default();
+        pairs["pairs"].as_array().map_or(0, Vec::len)
+    };
+    let is_over = eventually(HANG_S, || (running.is_finished() || count() >= FRAMES).then(|| running.is_finished()));
+    if is_over != Some(true) {
+        // It may have ended just now.
+        let _ = kill_process(id, Signal::INT);
+    }
+    let run = running.join().expect("no panic");
+    let words = format!("{}{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr), run.status);
     assert!(out.join("session.mcap").exists(), "{words}");
     let pairs = json(&out.join("pairs.json"))["pairs"].as_array().expect("a list").clone();
-    assert!(!pairs.is_empty(), "{words}");
+    assert_eq!(pairs.len(), FRAMES, "{words}");
     let report = std::fs::read_to_string(out.join("report.html")).expect("report");
     (pairs, report, words)
 }

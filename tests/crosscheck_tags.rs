@@ -271,7 +271,18 @@ fn filter_and_field_are_read_as_terms_and_numbers_alone() {
         (tags::CENTER_OF_CIRCULAR_COLLIMATOR, VR::IS, "18151210\\1"),
         (tags::FIELD_OF_VIEW_DIMENSIONS, VR::IS, "0\\0"),
     ]);
-    assert_eq!(told.filter, filter(&[(FilterMaterial::Copper, [0.2; 2])]), "the second thickness is the second material's");
+    let one_unknown = filter(&[(FilterMaterial::Other, [0.1; 2]), (FilterMaterial::Copper, [0.2; 2])]);
+    assert_eq!(told.filter, one_unknown, "the second thickness is the second material's");
+    let notes = json["notes"].to_string();
+    assert!(notes.contains("(0018,7050) has 1 of 2 words that are no filter material of the standard"), "{notes}");
+    // As consoles write them, beside the standard's terms; and nothing but a word that nobody knows.
+    let (told, _) = read(&[(tags::FILTER_MATERIAL, VR::CS, "Cu\\ALUMINIUM")]);
+    let materials = told.filter.map(|filter| filter.layers.iter().map(|layer| layer.material).collect::<Vec<_>>());
+    assert_eq!(materials, Some(vec![FilterMaterial::Copper, FilterMaterial::Aluminum]));
+    let (told, unknown) = read(&[(tags::FILTER_MATERIAL, VR::CS, "WEIDENBART")]);
+    let layers = vec![FilterLayer { material: FilterMaterial::Other, thickness_mm: None }];
+    assert_eq!(told.filter, Some(FilterTags { form: None, layers }));
+    assert!(unknown["notes"].to_string().contains("1 of 1 words") && !unknown.to_string().contains("WEIDENBART"), "{unknown}");
     assert_eq!((told.collimator, told.field_of_view_mm), (None, None));
     let shown = json.to_string().to_lowercase();
     for secret in ["krummholz", "weidenbart", "schlotter", "quendel", "18151210"] {

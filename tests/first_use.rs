@@ -7,6 +7,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::crosscheck_image::{json, kit};
+use crate::live_lab::drawn;
 use crate::session_demo::mock_is_built;
 
 /// The lines of the block under "First use".
@@ -23,7 +24,9 @@ fn run(line: &str, folder: &Path) -> Output {
     let path = std::env::join_paths(
         std::iter::once(programs).chain(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default())),
     );
-    Command::new("sh").arg("-c").arg(line).current_dir(folder).env("PATH", path.expect("a path")).output().expect("sh starts")
+    let mut command = Command::new("sh");
+    command.arg("-c").arg(line).current_dir(folder).env("PATH", path.expect("a path")).env("MOCK_LAB_DRAWN", drawn());
+    command.output().expect("sh starts")
 }
 
 fn number(value: &Value) -> f64 {
@@ -153,6 +156,8 @@ fn check_reads_the_newest_frame_as_the_session_says() {
         let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
             .args(["check", "declared.json", "--json", "--limit", "300"])
             .current_dir(&lab)
+            // An exposure is not rehearsed where it has no place for its files.
+            .env("TMPDIR", lab.join("nowhere"))
             .output()
             .expect("runs");
         let found: Value = serde_json::from_slice(&run.stdout).expect("JSON");

@@ -143,6 +143,11 @@ impl Lab {
         Some(Self { _folder: folder, kit, mock })
     }
 
+    /// As [`Lab::start`], with [`Lab::without_ct`].
+    pub fn start_without_ct(args: &[&str]) -> Option<Self> {
+        Self::start(args).map(Self::without_ct)
+    }
+
     pub fn frames(&self) -> PathBuf {
         self.kit.join("frames")
     }

@@ -13,7 +13,7 @@ use crate::telemetry_frames::carm;
 /// It was `attempt to multiply with overflow`, live and in every replay of the log.
 #[test]
 fn a_device_whose_clock_leaps_centuries_ends_neither_live_nor_replay() {
-    let Some(lab) = Lab::start(&["--kit-only"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--kit-only"]) else { return };
     let (mut device, mut line) = TTYPort::pair().expect("pseudo-terminals are there");
     line.set_exclusive(false).expect("the line can be shared");
     let port = line.name().expect("the line has a path");

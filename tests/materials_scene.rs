@@ -7,10 +7,11 @@ use std::process::Command;
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
-use sidecarm::image::{cache_file, read_tiff_f32};
+use sidecarm::image::read_tiff_f32;
 
 use crate::ct_phantom::Luck;
 use crate::log_lab::{Ran, text};
+use crate::scene_support::tell_costs;
 use crate::volume_files::Sample;
 
 /// mm.
@@ -49,12 +50,7 @@ fn limb(shift_hu: f64) -> Sample {
 /// A folder for what the program keeps, which knows already what this machine costs where anybody has measured it.
 fn cache() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    std::fs::create_dir(folder.path().join("sidecarm")).expect("a folder");
-    for name in ["costs.json", "costs-debug.json"] {
-        if let Some(measured) = cache_file(name).filter(|path| path.is_file()) {
-            std::fs::copy(measured, folder.path().join("sidecarm").join(name)).expect("copied");
-        }
-    }
+    tell_costs(folder.path());
     folder
 }
 

@@ -287,3 +287,18 @@ fn a_covariance_that_is_none_is_refused_and_one_beside_another_sigma_counts() {
     assert_eq!((ras.x_axis, ras.y_axis), (lps.x_axis * DVec3::new(1.0, 1.0, -1.0), lps.y_axis * DVec3::new(1.0, 1.0, -1.0)));
     assert!(of("RAS").notes.iter().any(|note| note.contains("along R, A and S")), "{:?}", of("RAS").notes);
 }
+
+/// A covariance that no ellipse has was replaced by a round one, and nobody heard of it.
+#[test]
+fn a_shadow_s_covariance_that_is_none_is_said() {
+    let (view, layout) = (synthetic::view(1024, 1024, 0), synthetic::layout(11, 0.75, 0));
+    let mut found = shadows(&view, &layout, 0.1, 0.05, 70);
+    let is_said = |found: &[Detection]| {
+        let pose = register_shadows(&matching(&view, &layout), found);
+        assert!(pose.is_accepted(), "{:?}", pose.reason);
+        pose.cautions.iter().any(|words| words.contains(&format!("the covariance of 1 of {} shadows is none", found.len())))
+    };
+    assert!(!is_said(&found), "the control");
+    found[0].covariance_px2 = [[0.01, 0.02], [0.02, 0.01]];
+    assert!(is_said(&found));
+}

@@ -84,7 +84,7 @@ impl Lab {
         ViewAlone { name: format!("view-{view}.dcm"), pose, prior: None }
     }
 
-    fn all(&mut self, k: &Intrinsics) -> Vec<ViewAlone> {
+    pub fn all(&mut self, k: &Intrinsics) -> Vec<ViewAlone> {
         let places = self.places.clone();
         (0..self.views.len()).map(|view| self.alone(view, k, &places)).collect()
     }

@@ -55,6 +55,7 @@ fn program() -> PathBuf {
 #[test]
 fn a_kill_while_the_disk_stands_still_costs_neither_telemetry_nor_a_frame() {
     let Some((lab, frame, folder)) = quiet_lab("40") else { return };
+    let lab = lab.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
     let log = live.log.clone();
     let stopped = Stopped::of(&log);
@@ -81,6 +82,7 @@ fn a_kill_while_the_disk_stands_still_costs_neither_telemetry_nor_a_frame() {
 #[test]
 fn a_keeper_that_is_killed_is_said_and_replaced() {
     let Some((lab, _, folder)) = quiet_lab("40") else { return };
+    let lab = lab.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
     let first = keeper(&live.log);
     let stopped = Stopped::of(&live.log);
@@ -105,6 +107,7 @@ fn a_keeper_that_is_killed_is_said_and_replaced() {
 #[test]
 fn whoever_leaves_at_once_does_not_wait_for_a_disk_that_stands_still() {
     let Some((lab, _, folder)) = quiet_lab("60") else { return };
+    let lab = lab.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
     let stopped = Stopped::of(&live.log);
     let said = eventually(HANG_S, || live.stderr().contains("its disk is slow or stands still").then_some(()));
@@ -127,6 +130,7 @@ fn whoever_leaves_at_once_does_not_wait_for_a_disk_that_stands_still() {
 #[test]
 fn an_interrupt_of_the_group_leaves_a_finished_log() {
     let Some((lab, _, folder)) = quiet_lab("40") else { return };
+    let lab = lab.without_ct();
     let mut live = Live::start_in_own_group(&lab.kit.join("session.json"), &folder.path().join("session"));
     // And what ends a service goes to all of its processes.
     [Signal::INT, Signal::TERM, Signal::HUP].into_iter().for_each(|signal| signal_keeper(&live.log, signal));

@@ -1,9 +1,13 @@
 //! A log in which someone changed what a replay makes again, rewritten with right checksums: each change is seen, and nothing else is.
+#![cfg(unix)]
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 use serde_json::Value;
+use sidecarm::record::topic;
+
+use crate::log_lab::{entries, recorded, replay};
 
 /// Rewrites `log` to `out`; `change` alters a message of a topic, or leaves it out (false).
 pub fn meddled(log: &Path, out: &Path, change: &mut dyn FnMut(&str, &mut Vec<u8>) -> bool) {
@@ -20,34 +24,25 @@ pub fn meddled(log: &Path, out: &Path, change: &mut dyn FnMut(&str, &mut Vec<u8>
     writer.finish().expect("finished");
 }
 
-/// Exit code and answer of a replay.
-fn replayed(log: &Path) -> (Option<i32>, Value) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    let run = command.arg("replay").arg(log).arg("--json").arg("--out").arg(log.with_extension("replayed")).output();
-    let run = run.expect("the program starts");
-    let answer =
-        serde_json::from_slice(&run.stdout).unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&run.stderr)));
-    (run.status.code(), answer)
-}
-
 fn length(answer: &Value, key: &str) -> usize {
     answer[key].as_array().map_or(usize::MAX, Vec::len)
 }
 
-/// A change: its name, what it does to a topic's message the how-manieth, and whether the answer shows it.
-type Change = (&'static str, &'static str, fn(usize, &mut Vec<u8>) -> bool, fn(&Value) -> bool);
+/// Before a score that is put to another one.
+const SCORE: &str = "\"gradient_ncc\":0.";
 
 /// Puts the digit behind the first occurrence of `key` to another one.
-fn another_digit(data: &mut [u8], key: &[u8]) {
-    let at = data.windows(key.len()).position(|window| window == key).expect("the key is there") + key.len();
+fn another_digit(data: &mut [u8], key: &str) {
+    let at = data.windows(key.len()).position(|window| window == key.as_bytes()).expect("the key is there") + key.len();
     let at = at + data[at..].iter().position(u8::is_ascii_digit).expect("a number");
     data[at] = if data[at] == b'1' { b'2' } else { b'1' };
 }
 
-/// Whether these are the scores of that frame, accepted; pairs are finished in any order, and one of the frames is refused.
-fn is_accepted(data: &[u8], number: u32) -> bool {
+/// The frame of whose scores this tells, where that is accepted and has the score.
+fn accepted(data: &[u8]) -> Option<u64> {
     let pair: Value = serde_json::from_slice(data).expect("JSON");
-    pair["number"] == number && pair["status"] == "accepted"
+    let has_score = data.windows(SCORE.len()).any(|window| window == SCORE.as_bytes());
+    pair["number"].as_u64().filter(|_| has_score && pair["status"] == "accepted")
 }
 
 fn lost(answer: &Value, words: &str) -> bool {
@@ -60,83 +55,83 @@ fn malformed(answer: &Value) -> usize {
     losses.filter(|loss| loss.starts_with("1 message is malformed and was skipped: /pose, message ")).count()
 }
 
-const CHANGES: [Change; 8] = [
-    ("nothing", "", |_, _| true, |answer| length(answer, "losses") == 0 && answer["scores_identical"] != 0),
-    (
-        "a score",
-        "/scores",
-        |_, data| {
-            if is_accepted(data, 2) {
-                another_digit(data, b"\"gradient_ncc\":0.");
-            }
-            true
-        },
-        |answer| length(answer, "scores_different") == 1,
-    ),
-    (
-        "a status",
-        "/scores",
-        |_, data| {
-            if is_accepted(data, 2) {
-                let text = String::from_utf8_lossy(data).replace("\"accepted\"", "\"refused\"");
-                *data = text.into_bytes();
-            }
-            true
-        },
-        |answer| length(answer, "scores_different") == 1,
-    ),
-    (
-        "joints",
-        "/carm/joints",
-        |nth, data| {
-            if nth % 10 == 0 {
-                another_digit(data, b"orbital_deg\":");
-            }
-            true
-        },
-        |answer| answer["samples_different"].as_u64().is_some_and(|count| count > 5),
-    ),
-    ("a sample left out", "/robot/joints", |nth, _| nth != 100, |answer| answer["samples_different"] == 1),
-    ("a DRR left out", "/frames/drr", |nth, _| nth != 1, |answer| lost(answer, "gone from the log; its hash is there")),
-    (
-        "a DRR's hash left out",
-        "/frames/drr_sha256",
-        |nth, _| nth != 1,
-        |answer| lost(answer, "is gone from the log; its plan is there"),
-    ),
-    (
-        "a pose that is no JSON",
-        "/pose",
-        |nth, data| {
-            if nth == 1 {
-                data.truncate(data.len() / 2);
-            }
-            true
-        },
-        // Once by itself, and once as what the DRR beside it was made with; all other poses are the same.
-        |answer| {
-            let (identical, frames) = (answer["poses_identical"].as_u64(), answer["frames"].as_u64());
-            let went_on = identical.zip(frames).is_some_and(|(identical, frames)| frames >= 6 && identical + 1 >= frames);
-            went_on && malformed(answer) == 1 && length(answer, "losses") + length(answer, "not_in_log") == 2
-        },
-    ),
-];
+/// Alters a message of a topic, the how-manieth; false leaves it out.
+type Change<'a> = &'a mut dyn FnMut(&str, usize, &mut Vec<u8>) -> bool;
 
-/// Tries every change on the log of a session that lost nothing.
-pub fn every_change_is_seen(log: &Path, folder: &Path) {
-    for (name, topic, change, shows) in CHANGES {
-        let path: PathBuf = folder.join(format!("{}.mcap", name.replace(' ', "-")));
-        let mut seen = 0;
-        meddled(log, &path, &mut |of, data| {
-            let ours = of == topic;
-            seen += usize::from(ours);
-            !ours || change(seen - 1, data)
-        });
-        assert!(topic.is_empty() || seen > 1, "{name}: {seen} messages of {topic}");
-        let (code, answer) = replayed(&path);
-        let unchanged = topic.is_empty();
-        assert_eq!(code, Some(if unchanged { 0 } else { 3 }), "{name}: {answer}");
-        assert!(shows(&answer), "{name}: {answer}");
-        assert_eq!((length(&answer, "poses_different"), length(&answer, "images_different")), (0, 0), "{name}: {answer}");
+/// What a replay says of `log` with `change` in messages of `topics`: where there is one that something differs or is lost, and never poses or
+/// pictures.
+fn altered(log: &Path, kit: &Path, path: &Path, topics: &[&str], change: Change<'_>) -> Value {
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    meddled(log, path, &mut |topic, data| {
+        let count = seen.entry(topic.to_owned()).or_default();
+        *count += 1;
+        !topics.contains(&topic) || change(topic, *count - 1, data)
+    });
+    for topic in topics {
+        assert!(seen.get(*topic).is_some_and(|count| *count > 1), "{topic}: {seen:?}");
     }
+    let (code, answer) = replay(path, kit, &path.with_extension("replayed"));
+    assert_eq!(code, Some(if topics.is_empty() { 0 } else { 3 }), "{topics:?}: {answer:#}");
+    let different = ["poses_different", "images_different"].map(|key| length(&answer, key));
+    assert_eq!(different, [0, 0], "{topics:?}: {answer:#}");
+    answer
+}
+
+/// Of a session that lost nothing. Changes that the answer tells apart are made in one log.
+#[test]
+fn what_is_changed_in_a_log_is_seen_and_nothing_else() {
+    let Some(session) = recorded() else { return };
+    let (log, folder) = (&session.logs[1], tempfile::tempdir().expect("a folder"));
+    let kit = &session.kit;
+    let at = |name: &str| folder.path().join(format!("{name}.mcap"));
+
+    // The control.
+    let nothing = altered(log, kit, &at("nothing"), &[], &mut |_, _, _| true);
+    assert!(length(&nothing, "losses") == 0 && nothing["scores_identical"].as_u64() >= Some(2), "{nothing:#}");
+
+    let good: Vec<u64> =
+        entries(log).iter().filter(|entry| &*entry.topic == topic::SCORES).filter_map(|entry| accepted(&entry.data)).collect();
+    let (Some(first), Some(last)) = (good.iter().min(), good.iter().max()) else { panic!("no frame is accepted: {nothing:#}") };
+    assert!(first < last, "two frames are accepted: {good:?}");
+    let scores = altered(log, kit, &at("scores"), &["/scores"], &mut |_, _, data| {
+        match accepted(data) {
+            Some(number) if number == *first => another_digit(data, SCORE),
+            Some(number) if number == *last => {
+                *data = String::from_utf8_lossy(data).replace("\"accepted\"", "\"refused\"").into_bytes();
+            }
+            _ => {}
+        }
+        true
+    });
+    assert_eq!(length(&scores, "scores_different"), 2, "a score and a status: {scores:#}");
+
+    let joints = altered(log, kit, &at("joints"), &["/carm/joints"], &mut |_, nth, data| {
+        if nth % 10 == 0 {
+            another_digit(data, "orbital_deg\":");
+        }
+        true
+    });
+    assert!(joints["samples_different"].as_u64() > Some(5), "{joints:#}");
+
+    let left_out = ["/robot/joints", "/frames/drr", "/frames/drr_sha256"];
+    let left_out = altered(log, kit, &at("left-out"), &left_out, &mut |topic, nth, _| {
+        // A DRR whose hash is gone is taken for that of the next hash where it is not followed by a DRR.
+        let which = if topic == "/robot/joints" { 100 } else { usize::from(topic == "/frames/drr_sha256") };
+        nth != which
+    });
+    assert_eq!(left_out["samples_different"], 1, "{left_out:#}");
+    assert!(lost(&left_out, "gone from the log; its hash is there"), "a DRR: {left_out:#}");
+    assert!(lost(&left_out, "is gone from the log; its plan is there"), "a DRR's hash: {left_out:#}");
+
+    let pose = altered(log, kit, &at("pose"), &["/pose"], &mut |_, nth, data| {
+        if nth == 1 {
+            data.truncate(data.len() / 2);
+        }
+        true
+    });
+    // Once by itself, and once as what the DRR beside it was made with; all other poses are the same.
+    let (identical, frames) = (pose["poses_identical"].as_u64(), pose["frames"].as_u64());
+    let went_on = identical.zip(frames).is_some_and(|(identical, frames)| frames >= 3 && identical + 1 >= frames);
+    assert!(went_on && malformed(&pose) == 1, "{pose:#}");
+    assert_eq!(length(&pose, "losses") + length(&pose, "not_in_log"), 2, "{pose:#}");
 }

@@ -324,6 +324,40 @@ fn meshes_are_closed_turned_outward_or_refused() {
     assert!(scene::load_text(&scene_text(), &scene_path, true, &Reporter::silent()).is_err());
 }
 
+/// What 3D Slicer writes into the header of a binary STL was not looked at: a mesh lay on the other side of the patient.
+#[test]
+fn a_mesh_whose_header_says_ras_is_placed_in_lps() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let low = [30.0f32, -20.0, 100.0];
+    let corner = |bits: u32| [0, 1, 2].map(|axis| low[axis] + (bits >> axis & 1) as f32);
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let faces: Vec<[[f32; 3]; 3]> =
+        quads.iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]].map(|t| t.map(|v| corner(*v)))).collect();
+    let path = folder.path().join("box.stl");
+    let scene_path = folder.path().join("scene.json");
+    let load = |header: &[u8], lps_from_mesh: Option<Value>| {
+        write_stl(&path, &faces, false);
+        let mut bytes = std::fs::read(&path).expect("readable");
+        bytes[..header.len()].copy_from_slice(header);
+        std::fs::write(&path, bytes).expect("written");
+        let mut scene = example();
+        scene["objects"] = json!([{"mesh": {"path": "box.stl", "material": "titanium"}}]);
+        if let Some(pose) = lps_from_mesh {
+            scene["objects"][0]["mesh"]["lps_from_mesh"] = pose;
+        }
+        let reporter = Reporter::silent();
+        let scene = scene::load_text(&scene.to_string(), &scene_path, true, &reporter).expect("a box");
+        let Matter::Mesh(mesh) = &scene.objects[0].matter else { panic!("a mesh") };
+        let low = mesh.vertices_lps_mm.iter().fold(DVec3::splat(f64::INFINITY), |low, v| low.min(*v));
+        (low, reporter.warnings().len())
+    };
+    assert_eq!(load(b"", None), (DVec3::new(30.0, -20.0, 100.0), 0));
+    assert_eq!(load(b"3D Slicer output. SPACE=LPS", None), (DVec3::new(30.0, -20.0, 100.0), 0));
+    assert_eq!(load(b"3D Slicer output. SPACE=RAS", None), (DVec3::new(-31.0, 19.0, 100.0), 1));
+    let said = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
+    assert_eq!(load(b"3D Slicer output. SPACE=RAS", Some(said)), (DVec3::new(30.0, -20.0, 100.0), 0), "the scene's word counts");
+}
+
 #[test]
 fn a_ct_that_is_listed_after_a_tool_erases_it_and_that_is_said() {
     let folder = tempfile::tempdir().expect("temporary folder");

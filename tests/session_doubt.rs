@@ -9,6 +9,7 @@ use sidecarm::record::{LogEntry, topic};
 
 use crate::crosscheck_session::{edit, live};
 use crate::log_lab::entries;
+use crate::scene_support::tell_costs;
 use crate::session_demo::mock_is_built;
 use crate::session_names::replay;
 
@@ -80,6 +81,7 @@ fn a_tie_is_given_up(lab: &Path, pairs: &[Value]) {
     let frames: Vec<u64> = last.into_iter().chain([*first, *second]).collect();
     let (early, again) = (lab.join("early.mcap"), lab.join("again"));
     with_disagreements(&log, &early, &frames, last);
+    tell_costs(&lab.join("cache"));
     let (_, words) = replay(&early, Some(lab), &lab.join("cache"), &again);
     let said: Vec<&str> = words.lines().filter(|line| line.contains("no longer tied to the room")).collect();
     let expected = format!(

@@ -13,8 +13,8 @@ use crate::lab_truth::{counter_of, has_its_own_exposure, prior_is_right, put, to
 use crate::live_lab::{HANG_S, Lab, Live, Sent, Signal, eventually};
 use crate::log_lab::{entries, recorded, replay};
 
-/// Samples of a device that the timeline keeps: ten minutes at 300 Hz. At a hundred times the C-arm's rate that is a minute and some
-/// seconds, which a test can wait for.
+/// Samples of a device that the timeline keeps: ten minutes at 300 Hz. At two hundred times the C-arm's rate that is half a minute, which a
+/// test can wait for.
 const KEPT: usize = 200_000;
 const FRAMES: usize = 6;
 /// Of the frame whose tags say another voltage than telemetry, and the one whose tags say another distance.
@@ -32,11 +32,11 @@ fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_be
     let frames = FRAMES.to_string();
     let lab = [
         "--duration-s",
-        "12",
+        "10",
         "--exposures",
         &frames,
-        "--rate",
-        "100",
+        "--idle-rate",
+        "200",
         "--no-robot",
         "--faults",
         "none",
@@ -44,7 +44,7 @@ fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_be
         "--idle-s",
         "400",
     ];
-    let Some(lab) = Lab::start(&lab) else { return };
+    let Some(lab) = Lab::start_without_ct(&lab) else { return };
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
     let session = lab.session("export.json", |session| session["frames"]["folder"] = "exported".into());
@@ -56,6 +56,13 @@ fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_be
         (of_the_arm(&lab.sent(), last_us) > KEPT + KEPT / 50).then_some(())
     });
     assert!(forgotten.is_some(), "the C-arm goes on");
+    // On a crowded machine some of what was sent is lost on the line.
+    let heard = || {
+        let packets = live.heard().packets;
+        packets.iter().filter(|((device, _), at_us)| *device == DeviceKind::Carm && **at_us > last_us).count()
+    };
+    let heard = eventually(HANG_S, || (heard() > KEPT + 2000).then_some(()));
+    assert!(heard.is_some(), "they are heard: {}", live.stderr());
     let exported_us = sidecarm::time::host_now_us();
     let mut files: Vec<PathBuf> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
     files.sort();

@@ -33,7 +33,8 @@ fn says_what_was_lost(name: &str, live: &Live, code: Option<i32>, words: &[&str]
 
 #[test]
 fn half_of_the_packets_missing_is_a_loss() {
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none", "--exposures", "0", "--missing", "0.5"]) else {
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "12", "--faults", "none", "--exposures", "0", "--missing", "0.5"])
+    else {
         return;
     };
     let (live, code) = short_session(&lab, &lab.kit.join("session.json"));
@@ -43,7 +44,7 @@ fn half_of_the_packets_missing_is_a_loss() {
 /// It was 259 300 messages of the wrong device, exit 0.
 #[test]
 fn swapped_ports_are_a_loss() {
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "12", "--faults", "none", "--exposures", "0"]) else { return };
     let session = lab.session("swapped.json", |session| {
         session["carm"]["port"] = "ttyROBOT".into();
         session["robot"]["port"] = "ttyCARM".into();
@@ -54,7 +55,8 @@ fn swapped_ports_are_a_loss() {
 
 #[test]
 fn garbage_on_a_port_is_a_loss() {
-    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none", "--exposures", "0", "--garbage", "robot"]) else {
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "12", "--faults", "none", "--exposures", "0", "--garbage", "robot"])
+    else {
         return;
     };
     let (live, code) = short_session(&lab, &lab.kit.join("session.json"));
@@ -66,7 +68,7 @@ fn garbage_on_a_port_is_a_loss() {
 fn a_sound_session_has_no_loss() {
     // A pseudo-terminal holds a second of bytes: on a machine that gives the kernel no core for so long, packets are really lost.
     for attempt in 1..=3 {
-        let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none", "--exposures", "0"]) else { return };
+        let Some(lab) = Lab::start_without_ct(&["--duration-s", "12", "--faults", "none", "--exposures", "0"]) else { return };
         let (live, code) = short_session(&lab, &lab.kit.join("session.json"));
         let lost = live.stdout().contains("lost:");
         assert_eq!(code, Some(if lost { 3 } else { 0 }), "{} {}", live.stdout(), live.stderr());
@@ -80,7 +82,9 @@ fn a_sound_session_has_no_loss() {
 /// Unplugged for a second: the line comes back, the log has both parts, what was missed is a loss.
 #[test]
 fn an_unplugged_line_comes_back_and_is_said() {
-    let Some(lab) = Lab::start(&["--duration-s", "20", "--faults", "robot:unplug@0.15", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "20", "--faults", "robot:unplug@0.15", "--exposures", "0"]) else {
+        return;
+    };
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&lab.kit.join("session.json"), &out, &["--seconds", "7"]);
     let status = live.program.end(HANG_S).expect("ends");
@@ -119,7 +123,7 @@ impl Drop for Mount {
 fn a_full_disk_is_said_while_the_session_goes_on_and_the_log_stays_readable() {
     const FRAMES: usize = 2;
     let exposures = FRAMES.to_string();
-    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", &exposures]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "30", "--faults", "none", "--exposures", &exposures]) else { return };
     let Some(mount) = Mount::tmpfs(&lab.kit.with_file_name("disk"), "size=8m") else { return };
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
@@ -152,7 +156,7 @@ fn a_full_disk_is_said_while_the_session_goes_on_and_the_log_stays_readable() {
 
 #[test]
 fn a_read_only_disk_is_refused_in_one_sentence() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
     let Some(mount) = Mount::tmpfs(&lab.kit.with_file_name("disk"), "ro,size=1m") else { return };
     let mut live = Live::launch(&lab.kit.join("session.json"), &mount.0.join("session"), &[]);
     let status = live.program.end(HANG_S).expect("ends");
@@ -163,7 +167,7 @@ fn a_read_only_disk_is_refused_in_one_sentence() {
 
 #[test]
 fn a_folder_that_is_deleted_is_said_while_the_session_goes_on() {
-    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&lab.kit.join("session.json"), &out, &[]);
     std::fs::remove_dir_all(&out).expect("removed");
@@ -178,7 +182,7 @@ fn a_folder_that_is_deleted_is_said_while_the_session_goes_on() {
 /// Another program cut the log short, the session ended with 0, and a replay found no frame.
 #[test]
 fn a_log_that_is_cut_short_is_said_while_the_session_goes_on() {
-    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&lab.kit.join("session.json"), &out, &[]);
     let recorded = eventually(HANG_S, || std::fs::metadata(&live.log).is_ok_and(|log| log.len() > 20_000).then_some(()));

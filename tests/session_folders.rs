@@ -15,6 +15,7 @@ use crate::live_lab::{HANG_S, Live, Signal, copies, eventually, quiet_lab};
 #[test]
 fn what_comes_into_folders_below_is_read_where_the_session_says_so() {
     let Some((lab, frame, folder)) = quiet_lab("60") else { return };
+    let lab = lab.without_ct();
     let files = copies(&frame, 4, &folder.path().join("copies"));
     let session = lab.session("session-tree.json", |session| session["frames"]["sub_folders"] = true.into());
     let there = lab.frames().join("there before");

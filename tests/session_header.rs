@@ -6,7 +6,10 @@ use crate::live_lab::{HANG_S, Lab, Live, Signal};
 
 #[test]
 fn without_a_calibrated_arm_the_frames_header_gives_its_camera() {
-    let Some(lab) = Lab::start(&["--duration-s", "6", "--exposures", "2", "--faults", "none", "--idle-s", "300"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "6", "--exposures", "2", "--faults", "none", "--idle-s", "300"])
+    else {
+        return;
+    };
     let session = lab.session("bare.json", |session| drop(session.as_object_mut().expect("an object").remove("carm")));
     let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
     wait_for_pairs(&live, 2);

@@ -148,7 +148,7 @@ fn three_kills_cost_little_telemetry_and_no_frame() {
 /// The control: a log without its last half second is found to have lost it.
 #[test]
 fn a_log_that_ends_early_is_seen() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
     let out = tempfile::tempdir().expect("temporary folder");
     let mut live = Live::start(&lab.kit.join("session.json"), &out.path().join("session"), &[]);
     std::thread::sleep(Duration::from_millis(700));
@@ -182,7 +182,7 @@ fn many_kills_cost_little_telemetry_and_no_frame() {
 /// Two programs on one output: the second is refused, the first goes on.
 #[test]
 fn a_second_program_on_the_same_output_is_refused() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
     let out = tempfile::tempdir().expect("temporary folder");
     let folder = out.path().join("session");
     let first = Live::start(&lab.kit.join("session.json"), &folder, &["--seconds", "4"]);

@@ -33,7 +33,7 @@ fn a_network_of_ones_own_says_the_bone_in_a_session_and_in_its_replay() {
     }
     assert!(scene.to_string().contains("Quaxwelk"), "the kit has a CT");
     std::fs::write(&path, scene.to_string()).expect("written");
-    let (_, pairs, said) = session(&lab, "9", |session| session["domain"] = json!("linear"));
+    let (_, pairs, said) = session(&lab, |session| session["domain"] = json!("linear"));
     assert_eq!(pairs.len(), 1, "{said}");
     let out = lab.kit.join("out");
     let outputs = written(&out);

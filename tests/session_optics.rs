@@ -58,7 +58,7 @@ fn frames_of_an_intensifier_are_undistorted_and_their_drrs_distorted() {
     put();
     let size_px = [pictures[0].width as u32, pictures[0].height as u32];
     std::fs::write(lab.kit.join("ii.json"), BENT.calibration(size_px, "given").to_string()).expect("written");
-    let (poses, pairs, said) = session(&lab, "9", |session| {
+    let (poses, pairs, said) = session(&lab, |session| {
         session["domain"] = json!("linear");
         session["intensifier"] = json!("ii.json");
     });
@@ -71,7 +71,7 @@ fn frames_of_an_intensifier_are_undistorted_and_their_drrs_distorted() {
     // The same frames without a word of it.
     put();
     std::fs::remove_dir_all(lab.kit.join("out")).expect("removed");
-    let (poses, pairs, _) = session(&lab, "9", |session| session["domain"] = json!("linear"));
+    let (poses, pairs, _) = session(&lab, |session| session["domain"] = json!("linear"));
     let wrong = errors_px(&lab, &poses, |p| p);
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(pairs.iter().all(|pair| pair["reason"].to_string().contains("distorted: ")), "{pairs:#?}");
@@ -141,7 +141,7 @@ fn tags_start_a_session_s_beads_and_stand_alone_where_there_are_none() {
         }
     };
     put();
-    let (poses, _, said) = session(&lab, "9", |session| {
+    let (poses, _, said) = session(&lab, |session| {
         session["domain"] = json!("linear");
         session["tags"] = json!("tags.json");
     });
@@ -164,7 +164,7 @@ fn tags_start_a_session_s_beads_and_stand_alone_where_there_are_none() {
 
     put();
     std::fs::remove_dir_all(lab.kit.join("out")).expect("removed");
-    let (poses, pairs, said) = session(&lab, "9", |session| {
+    let (poses, pairs, said) = session(&lab, |session| {
         session["domain"] = json!("linear");
         session["tags"] = json!("tags.json");
         session["beads"] = Value::Null;

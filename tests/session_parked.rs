@@ -8,6 +8,7 @@ use dicom_dictionary_std::tags;
 use serde_json::Value;
 
 use crate::live_lab::{HANG_S, Live, deliver, eventually, quiet_lab};
+use crate::scene_support::tell_costs;
 use crate::session_names::replay;
 
 /// 36 MiB each: of 12, five are more than may wait in memory.
@@ -78,6 +79,7 @@ fn frames_that_wait_on_the_disk_come_back_and_one_that_does_not_is_a_loss() {
     assert!(live.report().contains("which waited on the disk, cannot be read back"));
 
     let again = lab.kit.with_file_name("again");
+    tell_costs(folder.path());
     let (_, words) = replay(&live.log, None, folder.path(), &again);
     let reasons = reasons(&again);
     assert!(reasons.len() == FRAMES && !reasons.iter().any(|reason| reason.contains("cannot be read back")), "{reasons:#?}");

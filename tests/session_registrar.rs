@@ -12,6 +12,7 @@ const SAID: &str =
 #[test]
 fn a_registrar_that_dies_costs_poses_and_a_replay_makes_them() {
     let Some((lab, frame, folder)) = quiet_lab("300") else { return };
+    let lab = lab.without_ct();
     let files = copies(&frame, 3, &folder.path().join("copies"));
     let mut live = Live::breaking(&lab.kit.join("session.json"), &folder.path().join("session"), "registrar:2").recording();
     let waits = |what: &str, fact: &dyn Fn() -> bool| {

@@ -21,7 +21,7 @@ fn a_session_asks_the_network_and_its_replay_asks_again() {
         scene["model"]["scatter"] = json!(model);
         std::fs::write(&path, scene.to_string()).expect("written");
         let _ = std::fs::remove_dir_all(lab.kit.join("out"));
-        let (_, pairs, said) = session(&lab, "9", |session| session["domain"] = json!("linear"));
+        let (_, pairs, said) = session(&lab, |session| session["domain"] = json!("linear"));
         assert_eq!(pairs.len(), 2, "{said}");
         let report = std::fs::read_to_string(lab.kit.join("out").join("report.html")).expect("a report");
         (pairs, report)

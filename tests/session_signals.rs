@@ -172,6 +172,7 @@ fn every_signal_ends_the_session_in_order() {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         // A lab of its own: what an earlier reader left in the line's buffer is lost, and would be said.
         let Some((lab, frame, folder)) = quiet_lab("60") else { return };
+        let lab = lab.without_ct();
         let name = format!("{cases}");
         let files = copies(&frame, 2, &folder.path().join(format!("copies-{name}")));
         let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join(&name), &[]);

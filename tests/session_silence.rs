@@ -4,9 +4,9 @@ use crate::live_lab::{HANG_S, Lab, Live};
 
 /// Plays a session with `faults`; the exit code, what was printed, the report.
 fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
-    let lab = Lab::start(&["--duration-s", "12", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?.without_ct();
+    let lab = Lab::start(&["--duration-s", "9", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?.without_ct();
     let folder = tempfile::tempdir().expect("temporary folder");
-    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "14"]);
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "11"]);
     let code = live.program.end(HANG_S).expect("it ends").code();
     Some((code, live.stderr(), live.report()))
 }
@@ -65,7 +65,7 @@ pub fn steps_of(report: &str, device: &str) -> Option<u64> {
 /// The console wrote into another folder than the session watched: exit code 0, and the report said that nothing was lost.
 #[test]
 fn exposures_without_a_frame_are_said() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "2"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "8", "--faults", "none", "--exposures", "2"]) else { return };
     std::fs::create_dir(lab.kit.join("elsewhere")).expect("made");
     let session = lab.session("elsewhere.json", |session| session["frames"]["folder"] = "elsewhere".into());
     let folder = tempfile::tempdir().expect("temporary folder");

@@ -3,9 +3,10 @@
 
 use std::process::{Command, Stdio};
 
-use serde_json::json;
+use rustix::process::{Pid, kill_process};
+use serde_json::{Value, json};
 
-use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 /// The writing end of a pipe that nobody reads.
 fn closed() -> Stdio {
@@ -21,8 +22,14 @@ fn a_session_goes_on_when_nobody_listens_any_more() {
     let lab = lab.without_ct();
     let out = lab.kit.with_file_name("session");
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    command.arg("live").arg(lab.kit.join("session.json")).arg("--out").arg(&out).args(["--headless", "--seconds", "9"]);
+    command.arg("live").arg(lab.kit.join("session.json")).arg("--out").arg(&out).args(["--headless", "--include-existing"]);
     let mut live = command.stdin(Stdio::null()).stdout(closed()).stderr(closed()).spawn().expect("the program starts");
+    let pairs = || {
+        let pairs: Value = serde_json::from_slice(&std::fs::read(out.join("pairs.json")).unwrap_or_default()).unwrap_or_default();
+        pairs["pairs"].as_array().map_or(0, Vec::len)
+    };
+    assert!(eventually(HANG_S, || (pairs() >= 3).then_some(())).is_some(), "{} pairs: {:?}", pairs(), live.try_wait());
+    kill_process(Pid::from_child(&live), Signal::INT).expect("it goes on");
     let ended = eventually(HANG_S, || live.try_wait().expect("a child can be asked")).expect("it ends");
     // 3: on a crowded machine the first exposure may be over before the lines are open.
     assert!(matches!(ended.code(), Some(0 | 3)), "{ended:?}");
@@ -54,6 +61,7 @@ fn a_report_names_no_folder_of_a_port_that_is_not_there() {
     let Some(lab) = Lab::start(&["--duration-s", "8", "--exposures", "0", "--faults", "none", "--linger-s", "20"]) else {
         return;
     };
+    let lab = lab.without_ct();
     let session = lab.session("named.json", |session| session["carm"]["port"] = json!("Quaxwelk/ttyCARM"));
     let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &["--seconds", "5"]);
     assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());

@@ -75,7 +75,7 @@ fn pipe(path: &Path) {
 
 #[test]
 fn frames_off_a_monitor_are_bound_and_posed_as_if_they_were_sent() {
-    let Some(lab) = Lab::start(&["--duration-s", "16", "--faults", "none", "--await-all"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "16", "--faults", "none", "--await-all"]) else { return };
     let folder = lab.kit.join("grabbed");
     std::fs::create_dir_all(&folder).expect("a folder");
     let capture = lab.kit.join("monitor.y4m");
@@ -115,7 +115,7 @@ fn frames_off_a_monitor_are_bound_and_posed_as_if_they_were_sent() {
 /// A device that is not there is waited for, and what was missed is a loss; so is what reads it and dies.
 #[test]
 fn a_monitor_that_falls_silent_is_a_loss_and_comes_back() {
-    let Some(lab) = Lab::start(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
     let (folder, capture) = (lab.kit.join("grabbed"), lab.kit.join("none.y4m"));
     std::fs::create_dir_all(&folder).expect("a folder");
     let session = lab.session("silent.json", |session| {
@@ -148,7 +148,7 @@ fn a_monitor_that_falls_silent_is_a_loss_and_comes_back() {
 /// A crop that does not lie within the video is a loss once, however often the grabber tries.
 #[test]
 fn a_crop_outside_the_video_is_said_once() {
-    let Some(lab) = Lab::start(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
     let (folder, capture) = (lab.kit.join("grabbed"), lab.kit.join("still.y4m"));
     std::fs::create_dir_all(&folder).expect("a folder");
     let head = format!("YUV4MPEG2 W64 H48 F{PER_S}:1 Ip A1:1 Cmono\n");

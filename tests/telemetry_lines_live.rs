@@ -101,7 +101,7 @@ fn naming<'a>(entries: &'a [LogEntry], word: &str) -> Vec<&'a str> {
 
 #[test]
 fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
-    let Some(lab) = Lab::start(&["--duration-s", "25", "--faults", "none"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "25", "--faults", "none"]) else { return };
     let mut declaration = shipped("generic-robot-csv.json");
     declaration["format"]["csv"]["columns"].as_array_mut().expect("a list").push(json!("surgeon"));
     let adapter = lab.kit.join("Annegrund.json");
@@ -181,7 +181,7 @@ fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
 /// One object a line in a file, without clock and number, one line in twenty of them none.
 #[test]
 fn bad_lines_are_counted_shown_and_kept_and_what_cannot_be_known_is_said() {
-    let Some(lab) = Lab::start(&["--duration-s", "14", "--faults", "none", "--exposures", "0"]) else { return };
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "14", "--faults", "none", "--exposures", "0"]) else { return };
     std::fs::write(lab.kit.join("robot-lines.json"), shipped("generic-robot-json.json").to_string()).expect("written");
     let file = lab.kit.join("Zettelhuber.jsonl");
     std::fs::write(&file, "{\"yesterday\": true}\n").expect("written");
@@ -225,6 +225,7 @@ fn bad_lines_are_counted_shown_and_kept_and_what_cannot_be_known_is_said() {
 #[test]
 fn a_check_listens_to_lines_and_says_what_is_wrong_with_an_adapter() {
     let Some(lab) = Lab::start(&["--kit-only", "--exposures", "0"]) else { return };
+    let lab = lab.without_ct();
     let adapter = lab.kit.join("robot-lines.json");
     let port = free_udp_port();
     let session = lab.session("lines.json", |session| {

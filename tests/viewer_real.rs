@@ -145,7 +145,7 @@ fn a_window_of_a_replay_shows_exposures_and_stays() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let out = folder.path().join("replayed");
     let [out, kit] = [&out, &session.kit].map(|path| path.to_str().expect("paths of tests are UTF-8"));
-    let mut window = window_of_replay(&session.logs[0], &["--data", kit, "--out", out], &screen);
+    let mut window = window_of_replay(&session.logs[1], &["--data", kit, "--out", out], &screen);
     let report = Path::new(out).join("report.html");
     let is_whole = || std::fs::read_to_string(&report).is_ok_and(|page| page.contains("</html>"));
     assert!(eventually(HANG_S, || is_whole().then_some(())).is_some(), "no report: {:?}", window.0.try_wait());

@@ -72,6 +72,9 @@ struct Args {
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
     #[arg(long, default_value_t = 1.0)]
     rate: f64,
+    /// The same when the session is over, for --idle-s; as --rate when absent.
+    #[arg(long)]
+    idle_rate: Option<f64>,
     /// How often the scripted exposures are played within the session.
     #[arg(long, default_value_t = 1)]
     repeat: usize,
@@ -123,7 +126,7 @@ struct Args {
     #[arg(long)]
     kit_only: bool,
     /// A CT and pictures that lie in this folder are not drawn again, and those that are drawn are kept there, for other runs of this very
-    /// program.
+    /// program. Without it, the folder that the environment names as MOCK_LAB_DRAWN.
     #[arg(long, value_name = "FOLDER")]
     drawn: Option<PathBuf>,
 }
@@ -148,7 +151,9 @@ fn tag_lie(text: &str) -> Result<(TagLie, usize), String> {
 }
 
 fn main() -> ExitCode {
-    match run(&Args::parse()) {
+    let mut args = Args::parse();
+    args.drawn = args.drawn.take().or_else(|| std::env::var_os("MOCK_LAB_DRAWN").map(PathBuf::from));
+    match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("mock-lab: {error}");
@@ -170,6 +175,8 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--unplugged-s", args.unplugged_s.unwrap_or(1.0), 0.01, 86_400.0)?;
     within("--stalled", args.stalled, 0.0, 0.9)?;
     within("--rate", args.rate, 0.01, 100.0)?;
+    let idle_rate = args.idle_rate.unwrap_or(args.rate);
+    within("--idle-rate", idle_rate, 0.01, 1000.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
     let mut lab = Lab::embedded()?.at_stands(&args.stands)?.repeated(args.repeat);
@@ -227,6 +234,7 @@ fn run(args: &Args) -> Result<(), MockError> {
         idle_s: args.idle_s,
         linger_s: args.linger_s,
         rate: args.rate,
+        idle_rate,
         faults,
         unplugged_s: args.unplugged_s,
         stalled: args.stalled,

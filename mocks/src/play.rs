@@ -31,6 +31,8 @@ pub struct Performance {
     pub linger_s: f64,
     /// Packets per second, relative to 100 Hz and 30 Hz.
     pub rate: f64,
+    /// The same when the script is over.
+    pub idle_rate: f64,
     /// Faults, in any order.
     pub faults: Vec<Fault>,
     /// How long an unplugged line stays away; by itself no longer than the next exposure allows.
@@ -181,6 +183,10 @@ struct Sender {
     ppm: f64,
     epoch_us: u64,
     period_s: f64,
+    /// Time between packets when the script is over, until it is.
+    idle_period_s: Option<f64>,
+    /// When the packet was due from which `packets` is counted.
+    from_s: f64,
     packets: u64,
     seconds: u64,
     missing: f64,
@@ -228,6 +234,7 @@ impl Sender {
         let mut random = ChaCha8Rng::seed_from_u64(performance.seed);
         random.set_stream(stream);
         let period_s = nominal_s / performance.rate;
+        let idle_period_s = Some(nominal_s / performance.idle_rate);
         let mut missing_random = random.clone();
         missing_random.set_stream(stream + 2);
         let mut stall_random = random.clone();
@@ -242,6 +249,8 @@ impl Sender {
             ppm,
             epoch_us,
             period_s,
+            idle_period_s,
+            from_s: 0.0,
             packets: 0,
             seconds: 0,
             missing,
@@ -294,9 +303,14 @@ impl Sender {
             tell(json!({"event": "plugged", "device": self.device, "at_s": now_s}));
         }
         loop {
-            let at_s = self.packets as f64 * self.period_s;
+            let at_s = self.from_s + self.packets as f64 * self.period_s;
             if at_s > now_s {
                 return Ok(());
+            }
+            if at_s > script.end_s()
+                && let Some(period_s) = self.idle_period_s.take()
+            {
+                (self.from_s, self.packets, self.period_s) = (at_s, 0, period_s);
             }
             self.packets += 1;
             if at_s >= self.seconds as f64 {

@@ -23,6 +23,7 @@ fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (
         idle_s: 0.0,
         linger_s: 0.0,
         rate: 1.0,
+        idle_rate: 1.0,
         faults: Vec::new(),
         seed: 1,
         unplugged_s: None,

@@ -90,7 +90,16 @@ impl AddedFilter {
     /// Of an exposure: by the frame's header, else by telemetry. `None` where neither tells of it.
     #[must_use]
     pub fn of(tags: &FrameTags, told: Option<&CarmSample>) -> Option<Self> {
-        tags.filter.as_ref().map(Self::by_header).or_else(|| Self::by_telemetry(told?))
+        let by_header = tags.filter.as_ref().map(Self::by_header);
+        // Of a filter of which nothing is understood telemetry may tell.
+        let is_understood = |filter: &Self| {
+            let mut materials = filter.layers.iter().map(|layer| layer.material);
+            filter.form.is_some() || materials.any(|material| material != FilterMaterial::Other)
+        };
+        match by_header {
+            Some(filter) if is_understood(&filter) => Some(filter),
+            unknown => told.and_then(Self::by_telemetry).or(unknown),
+        }
     }
 
     /// Of a frame's header.
@@ -123,6 +132,8 @@ impl AddedFilter {
         if !self.names(material) {
             // Where what is in the beam is listed, nothing else is in it. Telemetry has no word for other metals.
             let lists_all = !layers.is_empty() || *form == Some(FilterForm::NoFilter);
+            // The word for another may be one for this.
+            let lists_all = lists_all && (material == FilterMaterial::Other || !self.names(FilterMaterial::Other));
             let is_open = *stated_by == FilterSource::Telemetry || another && material == FilterMaterial::Aluminum;
             return (lists_all && !is_open).then_some([0.0; 2]);
         }
@@ -133,7 +144,7 @@ impl AddedFilter {
 
     /// What is in the beam, and how thick as far as that is stated.
     pub fn materials(&self) -> impl Iterator<Item = (FilterMaterial, Option<[f64; 2]>)> + '_ {
-        let named = FilterMaterial::ALL.into_iter().filter(move |material| self.names(*material));
+        let named = all().filter(move |material| self.names(*material));
         let stated = named.map(move |material| (material, self.thickness_mm(material, false)));
         let by_telemetry = self.stated_by == FilterSource::Telemetry;
         stated.filter(move |(_, mm)| mm.map_or(!by_telemetry, |[_, most_mm]| most_mm > 0.0))
@@ -147,7 +158,7 @@ impl AddedFilter {
         }
         let another = self.stated_by != other.stated_by;
         let mut likeness = Likeness::Same;
-        for material in FilterMaterial::ALL.into_iter().filter(|material| self.names(*material) || other.names(*material)) {
+        for material in all().filter(|material| self.names(*material) || other.names(*material)) {
             match (self.thickness_mm(material, another), other.thickness_mm(material, another)) {
                 (Some(own_mm), Some(others_mm)) => {
                     let apart_mm = (own_mm[0] - others_mm[0]).abs().max((own_mm[1] - others_mm[1]).abs());
@@ -177,6 +188,11 @@ impl AddedFilter {
             (false, _) => parts.join(" and "),
         }
     }
+}
+
+/// All that a header may name.
+fn all() -> impl Iterator<Item = FilterMaterial> {
+    FilterMaterial::ALL.into_iter().chain([FilterMaterial::Other])
 }
 
 /// Least and most thickness of the layers of `material` together; `None` where that of one is not said.
@@ -223,6 +239,7 @@ mod tests {
     fn filters_are_the_same_or_others_and_what_is_not_said_decides_nothing() {
         use FilterMaterial::{Aluminum, Copper, Molybdenum};
         use Likeness::{Other, Perhaps, Same};
+        let unnamed = FilterMaterial::Other;
         let none = header(Some(FilterForm::NoFilter), &[]);
         let copper = header(Some(FilterForm::Flat), &[(Copper, Some(0.2))]);
         let telemetry = |aluminium_mm, copper_mm| told(aluminium_mm, copper_mm).expect("told");
@@ -247,12 +264,27 @@ mod tests {
             // Zero beside a material says nothing to others, and is its own word for none at home.
             (header(None, &[(Copper, Some(0.0))]), telemetry(f64::NAN, 0.2), Perhaps),
             (header(None, &[(Copper, Some(0.0))]), header(None, &[(Copper, Some(0.2))]), Other),
+            // A word that nobody understands may be one for copper; it is the same as itself, as a console writes it every time.
+            (header(None, &[(Aluminum, Some(1.0)), (unnamed, None)]), telemetry(1.0, 0.2), Perhaps),
+            (header(None, &[(Copper, Some(0.2)), (unnamed, None)]), copper.clone(), Perhaps),
+            (header(None, &[(Copper, Some(0.2)), (unnamed, None)]), header(None, &[(Copper, Some(0.2)), (unnamed, None)]), Same),
         ];
         for (index, (a, b, expected)) in cases.iter().enumerate() {
             assert_eq!((a.likeness(b), b.likeness(a)), (*expected, *expected), "case {index}: {} and {}", a.words(), b.words());
         }
         assert_eq!(told(f64::NAN, f64::NAN), None, "an arm without a word for its filter");
         assert_eq!(Likeness::between(None, Some(&copper)), Perhaps);
+    }
+
+    #[test]
+    fn of_a_filter_whose_header_is_not_understood_telemetry_tells_if_it_does() {
+        let layers = vec![FilterLayer { material: FilterMaterial::Other, thickness_mm: None }];
+        let tags = FrameTags { filter: Some(FilterTags { form: None, layers }), ..FrameTags::default() };
+        let beam = CarmSample { filter_mm_cu: 0.2, ..CarmSample::UNTOLD };
+        let words = |told| AddedFilter::of(&tags, told).map(|filter| filter.words());
+        assert_eq!(words(Some(&beam)).as_deref(), Some("0.20 mm of copper"));
+        let unknown = Some("another material of a thickness that is not stated");
+        assert_eq!([words(Some(&CarmSample::UNTOLD)).as_deref(), words(None).as_deref()], [unknown; 2]);
     }
 
     #[test]
@@ -279,6 +311,8 @@ mod tests {
         let expected = ["no added filter", "0.20 mm of copper", "1.00 mm of aluminium and 0.10 mm of copper", "no added filter"];
         assert_eq!(words, expected);
         assert_eq!(header(Some(FilterForm::Flat), &[]).words(), "a filter whose material is not stated");
+        let unnamed = header(None, &[(FilterMaterial::Copper, Some(0.2)), (FilterMaterial::Other, None)]);
+        assert_eq!(unnamed.words(), "0.20 mm of copper and another material of a thickness that is not stated");
         for wrong in ["", "copper", "copper=-1", "copper=NaN", "water=3", "none,copper=1"] {
             let error = wrong.parse::<AddedFilter>().expect_err("none").to_string();
             assert!(error.contains("copper=0.2") && error.contains("niobium"), "{error}");

@@ -54,10 +54,12 @@ pub enum FilterMaterial {
     Lead,
     /// Ag.
     Silver,
+    /// One for which the standard has no term: what its word is, is not kept.
+    Other,
 }
 
 impl FilterMaterial {
-    /// All of them.
+    /// All that have a name.
     pub const ALL: [Self; 8] =
         [Self::Aluminum, Self::Copper, Self::Molybdenum, Self::Rhodium, Self::Niobium, Self::Europium, Self::Lead, Self::Silver];
 
@@ -73,6 +75,7 @@ impl FilterMaterial {
             Self::Europium => ["europium", "Eu"],
             Self::Lead => ["lead", "Pb"],
             Self::Silver => ["silver", "Ag"],
+            Self::Other => ["another material", "another"],
         }
     }
 

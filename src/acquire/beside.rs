@@ -9,8 +9,14 @@ use crate::image::beside;
 
 /// More than any description takes.
 const MAX_BYTES: u64 = 1 << 20;
-/// Units that are repeated; a file may say anything.
-const UNITS: [&str; 7] = ["1", "neper", "nepers", "keV", "photons", "g/cm2", "g/cm²"];
+/// Units that are known, by all their names; a file may say anything.
+const UNITS: [(&str, &[&str]); 5] = [
+    ("1", &["1", "1 (unattenuated signal)"]),
+    ("neper", &["neper", "nepers", "Np"]),
+    ("keV", &["keV"]),
+    ("photons", &["photons"]),
+    ("g/cm2", &["g/cm2", "g/cm²"]),
+];
 
 /// What the description says, reduced to what is known here.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -62,7 +68,8 @@ impl Beside {
             "area_density" => (Domain::Unknown, quantity),
             _ => (Domain::Unknown, "that is not known here"),
         };
-        let unit = json.get("unit").and_then(serde_json::Value::as_str).filter(|unit| UNITS.contains(unit)).map(str::to_owned);
+        let named = json.get("unit").and_then(serde_json::Value::as_str);
+        let unit = named.and_then(|named| UNITS.iter().find(|(_, names)| names.contains(&named))).map(|(unit, _)| (*unit).to_owned());
         let pitch = ["/pitch_mm", "/detector/pitch_mm", "/view/pitch_mm"].iter().find_map(|at| json.pointer(at)?.as_f64());
         let pitch_mm = pitch.filter(|pitch| *pitch > 0.0).map(|pitch| [pitch, pitch]);
         Self { domain, unit, pitch_mm, evidence: vec![format!("the sidecar .json says quantity {shown}")] }

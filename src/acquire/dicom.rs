@@ -66,7 +66,9 @@ fn each(
         processing: has_text(object, tags::PROCESSING_FUNCTION)
             || has_text(object, tags::ACQUISITION_DEVICE_PROCESSING_DESCRIPTION)
             || has_text(object, tags::ACQUISITION_DEVICE_PROCESSING_CODE),
-        lossy: LOSSY.contains(&transfer_syntax(object)) || has_text(object, tags::LOSSY_IMAGE_COMPRESSION_RATIO),
+        lossy: LOSSY.contains(&transfer_syntax(object))
+            || has_text(object, tags::LOSSY_IMAGE_COMPRESSION_RATIO)
+            || was_lossy(object),
     };
     let verdict = judge(&frame_tags, traces, mapping.decreasing(), declared);
     notes.extend(verdict.notes);
@@ -169,6 +171,12 @@ fn where_parsing_stopped(error: &dicom_object::ReadError) -> Fault {
 
 fn has_text(object: &DefaultDicomObject, tag: Tag) -> bool {
     object.get(tag).and_then(|element| element.to_str().ok()).is_some_and(|text| !text.trim().is_empty())
+}
+
+/// Whether the pixels passed through lossy compression at any time (PS3.3 C.7.6.1.1.5), whatever they are kept in now.
+fn was_lossy(object: &DefaultDicomObject) -> bool {
+    let said = object.get(tags::LOSSY_IMAGE_COMPRESSION).and_then(|element| element.to_str().ok());
+    said.is_some_and(|said| said.trim_matches(['\0', ' ']) == "01")
 }
 
 fn transfer_syntax(object: &DefaultDicomObject) -> &str {

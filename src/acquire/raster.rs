@@ -72,9 +72,38 @@ pub(super) fn read_tiff(
         let image = Image::from_pixels(width as usize, height as usize, pixels).ok_or_else(unsupported)?;
         let order = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(fault)?.unwrap_or(1);
         let (image, altered) = as_shown(image, order);
-        take(Raw { altered, ..raw(image, ends, settings, Vec::new()) })?;
+        let mut raw = Raw { altered, ..raw(image, ends, settings, Vec::new()) };
+        if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(fault)? == Some(WHITE_IS_ZERO) {
+            from_white(&mut raw);
+        }
+        take(raw)?;
     }
     Ok(())
+}
+
+/// TIFF 6.0, tag 262: zero is shown white. The decoder turns such values round, integers about the ends of their type and floats about 1/2.
+const WHITE_IS_ZERO: u16 = 0;
+
+/// Says what the decoder did to values whose zero is white, and undoes it where the numbers mean something by themselves: as with
+/// MONOCHROME1 of DICOM, grey levels and signals stand the other way round than what is stored, logarithms as they are stored.
+fn from_white(raw: &mut Raw) {
+    let stored_ends = raw.scale_ends.map(|[low, high]| f64::from(low) + f64::from(high));
+    let (Some(ends), false) = (stored_ends, raw.domain == super::Domain::Log) else {
+        // The smallest step that survives the way there and back.
+        let words = match stored_ends {
+            Some(_) => "the stored values were taken as they are".to_owned(),
+            None => format!("the stored values were taken as they are, good to {:.0e}", f32::EPSILON / 2.0),
+        };
+        let about = stored_ends.unwrap_or(1.0);
+        raw.pixels.pixels.iter_mut().for_each(|value| *value = (about - f64::from(*value)) as f32);
+        raw.altered.push(format!("TIFF photometric interpretation (tag 262) is 0, white is zero: {words}"));
+        return;
+    };
+    raw.turned_about = Some(ends);
+    raw.altered.push(format!(
+        "TIFF photometric interpretation (tag 262) is 0, white is zero: turned round about 0 and {ends}, the ends of what can be stored; \
+         nothing says at which value there is no signal"
+    ));
 }
 
 /// The picture that the file asks to be shown, of pixels stored in this order (TIFF 6.0, tag 274), and what was done for it: a picture's

@@ -22,7 +22,7 @@ impl ReceivedSource {
     /// When the port is not to be had.
     pub fn open(folder: Box<dyn FrameSource>, path: &Path, options: ReceiverOptions) -> Result<Self, ReceiverError> {
         let (sender, told) = channel();
-        let receiver = Receiver::open(options, Spool::named(path, "dicom"), sender)?;
+        let receiver = Receiver::open(options, Spool::lasting(path, "dicom"), sender)?;
         Ok(Self { folder, receiver, told })
     }
 

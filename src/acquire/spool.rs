@@ -10,6 +10,8 @@ use dicom_object::FileMetaTableBuilder;
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
+use crate::image::sync_folder;
+
 /// The largest object that is taken.
 pub(super) const MOST_OBJECT_BYTES: u64 = 256 << 20;
 /// What an object on its way is called before its random part.
@@ -54,6 +56,8 @@ pub(super) struct Spool {
     folder: PathBuf,
     /// What its files are called before their number.
     prefix: &'static str,
+    /// An object is taken when it is on the disk, and not before.
+    lasting: bool,
     named: Mutex<Named>,
 }
 
@@ -68,7 +72,12 @@ struct Named {
 impl Spool {
     /// Its files are `PREFIX-0001.dcm` and so on.
     pub(super) fn named(folder: &Path, prefix: &'static str) -> Self {
-        Self { folder: folder.to_owned(), prefix, named: Mutex::default() }
+        Self { folder: folder.to_owned(), prefix, lasting: false, named: Mutex::default() }
+    }
+
+    /// The same for senders, which may throw away what was taken.
+    pub(super) fn lasting(folder: &Path, prefix: &'static str) -> Self {
+        Self { lasting: true, ..Self::named(folder, prefix) }
     }
 
     /// Begins an object.
@@ -118,15 +127,23 @@ impl Incoming {
         let Self { file, instance, hash, .. } = self;
         let mut file = file.into_inner().map_err(|error| SpoolError::Write(error.error().kind()))?;
         let hash: [u8; 32] = hash.finalize().into();
+        if spool.lasting {
+            file.as_file().sync_all()?;
+        }
         let mut named = spool.named.lock().unwrap_or_else(PoisonError::into_inner);
         if named.hashes.get(&instance) == Some(&hash) {
             return Ok(Taken::Again);
         }
         while named.number < MOST_FILES {
             named.number += 1;
-            match file.persist_noclobber(spool.folder.join(format!("{}-{:04}.dcm", spool.prefix, named.number))) {
+            let path = spool.folder.join(format!("{}-{:04}.dcm", spool.prefix, named.number));
+            match file.persist_noclobber(&path) {
                 Ok(_) => {
                     named.hashes.insert(instance, hash);
+                    drop(named);
+                    if spool.lasting {
+                        sync_folder(&path);
+                    }
                     return Ok(Taken::New);
                 }
                 Err(taken) if taken.error.kind() == std::io::ErrorKind::AlreadyExists => file = taken.file,

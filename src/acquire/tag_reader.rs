@@ -156,19 +156,35 @@ impl<'a> TagReader<'a> {
     }
 
     fn filter(&mut self) -> Option<FilterTags> {
-        let materials = self.variants::<FilterMaterial>(tags::FILTER_MATERIAL);
+        let materials = self.materials();
         let form = self.variants::<FilterForm>(tags::FILTER_TYPE).into_iter().flatten().next();
         // "None" beside a material is of wedges alone.
         let form = form.filter(|form| *form != FilterForm::NoFilter || materials.is_empty());
         let thinnest = self.thicknesses(tags::FILTER_THICKNESS_MINIMUM, materials.len());
         let thickest = self.thicknesses(tags::FILTER_THICKNESS_MAXIMUM, materials.len());
         let ends = thinnest.as_ref().or(thickest.as_ref()).zip(thickest.as_ref().or(thinnest.as_ref()));
-        let layer = |(place, material): (usize, Option<FilterMaterial>)| {
+        let layer = |(place, material): (usize, FilterMaterial)| {
             let thickness_mm = ends.map(|(a, b)| [a[place].min(b[place]), a[place].max(b[place])]);
-            Some(FilterLayer { material: material?, thickness_mm })
+            FilterLayer { material, thickness_mm }
         };
-        let layers: Vec<FilterLayer> = materials.into_iter().enumerate().filter_map(layer).collect();
+        let layers: Vec<FilterLayer> = materials.into_iter().enumerate().map(layer).collect();
         (form.is_some() || !layers.is_empty()).then_some(FilterTags { form, layers })
+    }
+
+    /// The filter's materials, each at its place: by the standard's terms (PS3.3 C.8.7.10), by other spellings and by symbols. Any other word is a
+    /// material as well, of which only that is kept.
+    fn materials(&mut self) -> Vec<FilterMaterial> {
+        let tag = tags::FILTER_MATERIAL;
+        let known = |value: String| FilterMaterial::named(&value).unwrap_or(FilterMaterial::Other);
+        let materials: Vec<FilterMaterial> = self.texts(tag).into_iter().map(known).collect();
+        let others = materials.iter().filter(|material| **material == FilterMaterial::Other).count();
+        if others > 0 {
+            let count = materials.len();
+            self.notes.push(format!(
+                "attribute {tag} has {others} of {count} words that are no filter material of the standard: what else filters the beam is not known"
+            ));
+        }
+        materials
     }
 
     fn thicknesses(&mut self, tag: Tag, materials: usize) -> Option<Vec<f64>> {

@@ -48,7 +48,8 @@ pub struct Detection {
     pub image_px: DVec2,
     /// Standard deviation of the centre per axis, the mean of both.
     pub sigma_px: f64,
-    /// Covariance of (u, v), for the noise's correlation and what structure there is.
+    /// Covariance of (u, v), for the noise's correlation and what structure there is; zero throughout: none but `sigma_px` is stated. Of what
+    /// [`detect`] finds it is positive definite.
     pub covariance_px2: [[f64; 2]; 2],
     /// Radius of the shadow before blur.
     pub radius_px: f64,
@@ -64,39 +65,7 @@ pub struct Detection {
     pub flags: Flags,
 }
 
-/// No centre is known better along any direction, σ, px.
-const LEAST_SIGMA_PX: f64 = 0.003;
-
-/// A covariance uu, uv, vv in px² of a place that is known along no direction better than to `sigma_px`: raised by what the direction that
-/// is known best lacks.
-#[must_use]
-pub fn known_at_best([uu, uv, vv]: [f64; 3], sigma_px: f64) -> [f64; 3] {
-    let least = 0.5 * (uu + vv) - (0.5 * (uu - vv)).hypot(uv);
-    let more = (sigma_px.powi(2) - least).max(0.0);
-    [uu + more, uv, vv + more]
-}
-
 impl Detection {
-    /// Covariance of the centre, uu, uv, vv in px²: the stated one, or where there is none `sigma_px` along every direction; nowhere less
-    /// than a centre can be known.
-    #[must_use]
-    pub fn noise_px2(&self) -> [f64; 3] {
-        let [[uu, uv], [vu, vv]] = self.covariance_px2;
-        let cross = 0.5 * (uv + vu);
-        if !(uu > 0.0 && vv > 0.0 && uu * vv > cross * cross) {
-            let variance = self.sigma_px.max(LEAST_SIGMA_PX).powi(2);
-            return [variance, 0.0, variance];
-        }
-        known_at_best([uu, cross, vv], LEAST_SIGMA_PX)
-    }
-
-    /// Standard deviation of the centre along a direction of any length.
-    #[must_use]
-    pub fn sigma_along_px(&self, direction: DVec2) -> f64 {
-        let ([uu, uv, vv], along) = (self.noise_px2(), direction.normalize_or_zero());
-        (uu * along.x * along.x + 2.0 * uv * along.x * along.y + vv * along.y * along.y).max(0.0).sqrt()
-    }
-
     /// The same with place, covariance and size in the undistorted picture.
     #[must_use]
     pub fn straightened(&self, distortion: &Distortion) -> Self {

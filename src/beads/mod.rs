@@ -7,6 +7,7 @@
 //! with the blurred shadow of a sphere on a curved background, and what does not look like a sphere's shadow is dropped.
 
 mod candidates;
+mod centre_noise;
 mod correspondences;
 mod correlation;
 mod detect;
@@ -26,8 +27,9 @@ mod shadow;
 mod window;
 pub mod tags;
 
+pub use centre_noise::{is_covariance_px2, known_at_best};
 pub use correspondences::{Correspondence, CorrespondencesError, read_correspondences};
-pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image, known_at_best};
+pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use flags::Flags;
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{parse_landmarks, parse_markups, read_landmarks, read_markups, says_ras};

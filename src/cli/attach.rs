@@ -1,7 +1,9 @@
 //! `sidecarm attach`: frames exported after a session, tied to the exposures in its log.
 
+use std::io::Write;
 use std::path::PathBuf;
 
+use crate::image::{ImageFileError, write_atomically};
 use crate::reporter::Reporter;
 use crate::session::attach::{AttachError, AttachReport, Attached, attach};
 
@@ -30,13 +32,8 @@ pub enum AttachCommandError {
     #[error(transparent)]
     Attach(#[from] AttachError),
     /// The result cannot be written.
-    #[error("{path}: {source}", path = path.display())]
-    Out {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Out(#[from] ImageFileError),
     /// `--out` names the log or one of the frames.
     #[error("{path}: is one of the inputs; choose another --out", path = path.display())]
     Overwrites {
@@ -61,7 +58,7 @@ pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandEr
     let report = attach(&args.log, &args.frames, reporter)?;
     let json = serde_json::to_string_pretty(&report).unwrap_or_default();
     if let Some(out) = &args.out {
-        std::fs::write(out, format!("{json}\n")).map_err(|source| AttachCommandError::Out { path: out.clone(), source })?;
+        write_atomically(out, |file| file.write_all(format!("{json}\n").as_bytes()))?;
     }
     if args.json {
         println!("{json}");

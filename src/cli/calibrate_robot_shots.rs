@@ -62,19 +62,27 @@ pub(super) fn read_shots(
         }
         (Some(tie), tracked) => Some(tie.world_from_lps.inverse() * tie.world_from_tracker * tracked?),
     };
-    let mut take = Taken { shots: Vec::new(), reporter };
-    let mut frames = Vec::new();
+    let take = Taken { reporter };
+    let (mut shots, mut frames) = (Vec::new(), Vec::new());
     for path in args.shots {
         if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
             notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
             let found: BTreeMap<u32, LoggedShot> = found.into_iter().map(|shot| (shot.number, shot)).collect();
-            let mut of_frame = |number: u32, frame: Arc<Frame>| {
+            // By number: frames come in the order in which they were registered.
+            let mut taken: BTreeMap<u32, Option<Shot>> = BTreeMap::new();
+            let mut of_frame = |number: u32, frame: Arc<Frame>, said: &[String]| {
                 let Some(shot) = found.get(&number) else { return };
-                take.shot(&shot.name, &frame, &shot.pose, shot.readings_deg, carrier(&shot.pose, shot.tracker_from_base));
+                said.iter().for_each(|words| reporter.warn("frame of a log", words));
+                let carrier = carrier(&shot.pose, shot.tracker_from_base);
+                taken.insert(number, take.shot(&shot.name, &frame, &shot.pose, shot.readings_deg, carrier));
             };
             let losses = logged_frames(path, &|number| found.contains_key(&number), &mut of_frame)?;
             losses.iter().for_each(|loss| reporter.note(format_args!("note: {loss}")));
+            for (_, shot) in found.iter().filter(|(number, _)| !taken.contains_key(*number)) {
+                reporter.note(format_args!("note: {} is no shot: its picture is not in the log", shot.name));
+            }
+            shots.extend(taken.into_values().flatten());
             continue;
         }
         let pose = Pose::read(path)?;
@@ -86,27 +94,30 @@ pub(super) fn read_shots(
             frame = frame.oriented(console, pose.detector.as_ref().and_then(|detector| detector.size_px));
         }
         frames.push(row.image.clone());
-        take.shot(&name, &frame, &pose, row.control_angles_deg, carrier(&pose, row.tracker_from_base));
+        shots.extend(take.shot(&name, &frame, &pose, row.control_angles_deg, carrier(&pose, row.tracker_from_base)));
     }
-    Ok((take.shots, frames))
+    Ok((shots, frames))
 }
 
 struct Taken<'a> {
-    shots: Vec<Shot>,
     reporter: &'a Reporter,
 }
 
 impl Taken<'_> {
-    fn shot(&mut self, name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], carrier: Option<Rigid>) {
+    /// A shot, or nothing but a word of why it is none.
+    fn shot(&self, name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], carrier: Option<Rigid>) -> Option<Shot> {
         let shot = carrier.ok_or(NoShot::NotTracked).and_then(|carrier| Shot::of(name, frame, pose, readings_deg, carrier));
         match shot {
             Ok(shot) => {
                 if let Some(words) = &shot.doubt {
                     self.reporter.warn("pose in doubt", format_args!("{name} is a shot, but its pose is in doubt: {words}"));
                 }
-                self.shots.push(shot);
+                Some(shot)
             }
-            Err(why) => self.reporter.note(format_args!("note: {name} is no shot: {why}")),
+            Err(why) => {
+                self.reporter.note(format_args!("note: {name} is no shot: {why}"));
+                None
+            }
         }
     }
 }

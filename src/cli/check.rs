@@ -5,11 +5,13 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::line_checks::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
+use super::signals::on_signals;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::Renderer;
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
+use crate::session::Stop;
 use crate::session::crosscheck::{Finding, Level, check_disk, check_listened, check_ports, check_session, check_video, refusal};
 use crate::session::file::{SessionFileError, Setup};
 use crate::session::newest::check_newest;
@@ -40,33 +42,56 @@ pub struct CheckArgs {
 /// Default of `--limit`.
 pub const LIMIT_S: f64 = 20.0;
 
-/// Runs all checks; the exit code.
+/// How often whoever waits for a finding looks whether it is all over.
+const LOOK: Duration = Duration::from_millis(50);
+/// A check that nobody waits for any more may still write into the folder that is removed: it is tried so often, [`LOOK`] apart.
+const TRIES: u32 = 20;
+
+/// How the checks ended.
+enum End {
+    Done,
+    Late,
+    Interrupted,
+}
+
+/// Runs all checks; the exit code. Temporary files lie in one folder, which is removed however the checks end: a thread that is still at work then
+/// removes nothing.
 pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
+    let stop = Stop::default();
+    let asked = stop.clone();
+    on_signals(move || _ = asked.ask());
+    let mut findings = Vec::new();
+    let scratch = tempfile::Builder::new().prefix("sidecarm-check-").tempdir();
+    // Where there is none, each check that wants one says so.
+    let within = scratch.as_ref().map_or_else(|_| std::env::temp_dir(), |scratch| scratch.path().to_owned());
     let (sender, inbox) = channel();
     let (for_thread, args_of_thread) = (reporter.clone(), args.clone());
-    let worker = std::thread::spawn(move || work(&args_of_thread, &for_thread, &sender));
+    let worker = std::thread::spawn(move || work(&args_of_thread, &within, &for_thread, &sender));
     let watch = Stopwatch::start();
-    let mut findings = Vec::new();
-    let late = loop {
+    let end = loop {
         // NaN is no time at all.
         let left_s = (args.limit - watch.ms() * 1e-3).max(0.0);
-        match inbox.recv_timeout(Duration::try_from_secs_f64(left_s).unwrap_or(Duration::MAX)) {
+        let left = Duration::try_from_secs_f64(left_s).unwrap_or(Duration::MAX);
+        match inbox.recv_timeout(left.min(LOOK)) {
             Ok(finding) => take(finding, args.json, &mut findings),
-            Err(RecvTimeoutError::Timeout) => break true,
-            Err(RecvTimeoutError::Disconnected) => break false,
+            Err(RecvTimeoutError::Timeout) if stop.is_asked() => break End::Interrupted,
+            Err(RecvTimeoutError::Timeout) if left <= LOOK => break End::Late,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break End::Done,
         }
     };
-    if late {
-        let detail = format!("not all checks were done within {} s", args.limit);
-        let remedy = "give it longer with --limit; a session starts as late";
-        take(Finding::warn("time", detail, remedy), args.json, &mut findings);
-    } else if worker.join().is_err() {
-        take(
-            Finding::fail("check", "a check ended unexpectedly", "report this with the session's files"),
-            args.json,
-            &mut findings,
-        );
-    }
+    let left = match end {
+        End::Done => {
+            let fault = || Finding::fail("check", "a check ended unexpectedly", "report this with the session's files");
+            worker.join().err().map(|_| fault())
+        }
+        End::Late => {
+            let detail = format!("not all checks were done within {} s", args.limit);
+            Some(Finding::warn("time", detail, "give it longer with --limit; a session starts as late"))
+        }
+        End::Interrupted => Some(Finding::fail("check", "it was ended before all checks were done", "run it again")),
+    };
+    left.into_iter().chain(scratch.ok().and_then(removed)).for_each(|finding| take(finding, args.json, &mut findings));
     let count = |level: Level| findings.iter().filter(|finding| finding.level == level).count();
     let (passed, warned, failed) = (count(Level::Pass), count(Level::Warn), count(Level::Fail));
     if args.json {
@@ -75,6 +100,21 @@ pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
         println!("{passed} passed, {warned} warned, {failed} failed");
     }
     u8::from(failed > 0)
+}
+
+/// Removes the temporary folder; a finding where that does not do.
+fn removed(scratch: tempfile::TempDir) -> Option<Finding> {
+    let folder = scratch.keep();
+    let mut error = std::fs::remove_dir_all(&folder).err()?;
+    for _ in 1..TRIES {
+        if error.kind() == std::io::ErrorKind::NotFound {
+            return None;
+        }
+        std::thread::sleep(LOOK);
+        error = std::fs::remove_dir_all(&folder).err()?;
+    }
+    let detail = format!("temporary files are left in {}: {error}", folder.display());
+    Some(Finding::warn("temporary folder", detail, "remove that folder"))
 }
 
 fn take(finding: Finding, json: bool, findings: &mut Vec<Finding>) {
@@ -99,7 +139,8 @@ struct Loaded {
     layout: Option<BeadLayout>,
 }
 
-fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
+/// All checks, one after the other; temporary folders are made in `within`.
+fn work(args: &CheckArgs, within: &Path, reporter: &Reporter, found: &Sender<Finding>) {
     // Whoever asked may have given up waiting; what is found then is nobody's.
     let tell = |finding: Finding| drop(found.send(finding));
     let setup = match Setup::load(&args.session) {
@@ -115,7 +156,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     tell(Finding::pass("session file", args.session.display().to_string()));
     check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
     check_ports(&setup).into_iter().for_each(tell);
-    check_video(&setup).into_iter().for_each(tell);
+    check_video(&setup, within).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
     for (_, words) in setup.adapters.unknowns() {
         let remedy = "declare device_time and sequence in the adapter where the device sends them; else this is how it is";
@@ -140,7 +181,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     let Some(layout) = &loaded.layout else { return };
     reporter.note("check: one synthetic exposure through the whole path");
     match Renderer::new(DeviceChoice::Auto, &Reporter::silent()) {
-        Ok(renderer) => tell(rehearse(&loaded.setup, scene, layout, renderer)),
+        Ok(renderer) => tell(rehearse(&loaded.setup, scene, layout, renderer, within)),
         Err(error) => {
             tell(Finding::fail("synthetic exposure", error.to_string(), "check the graphics driver, or run without a GPU"))
         }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::compare_origin::{Given, OriginError, doubts, view_of};
+use super::compare_pictures::{described, mask_as_compared, read_flags, read_mask, read_simulated};
 use super::compare_table::table;
 use super::read_aloud::frame_aloud;
 use super::scattered::{Asked, SCATTER_ERROR, scattered};
@@ -14,11 +15,10 @@ use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NullRenders, NullScatter, OffsetRule, Tone, bead_marks, compare, elsewhere,
     posed_scene, tool_mask,
 };
-use crate::foreign::read_small;
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{
-    Image, ImageFileError, beside, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb,
+    Image, ImageFileError, beside, refuse_overwrite, sha256_file, write_atomically, write_png_rgb,
 };
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
@@ -48,7 +48,7 @@ pub struct CompareArgs {
     /// Pose that was rendered, from `register`; gives mm and the places of the beads
     #[arg(long, value_name = "POSE.json")]
     pub pose: Option<PathBuf>,
-    /// What to leave out: an image whose non-zero pixels are excluded, of either image's size
+    /// What to leave out: an image whose non-zero pixels are excluded, drawn over ACQUIRED as it is stored, or of SIMULATED's size
     #[arg(long, value_name = "M")]
     pub mask: Option<PathBuf>,
     /// What may be fitted between the two: none, gain, log_affine, monotone (display images only)
@@ -175,6 +175,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let mut frame = frame_aloud(&args.acquired, args.domain, reporter)?;
+    let (stored_px, unmirrored) = (frame.size_px, frame.unmirrored);
     let mut window = PanelWindow::WHOLE;
     // The pose is that of the picture with the console's doing undone.
     if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {
@@ -192,7 +193,10 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if let (None, Some(share)) = (&valid, described["share_invalid"].as_f64().filter(|share| *share > 0.0)) {
         return Err(CompareCommandError::NoValidity { path: beside(&args.simulated, "valid.png"), percent: 100.0 * share });
     }
+    let console = pose.as_ref().and_then(|pose| pose.console.as_ref());
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
+    let extra = extra.map(|mask| mask_as_compared(mask, stored_px, unmirrored, console));
+    let (extra, mask_moved) = extra.map_or((None, None), |(mask, moved)| (Some(mask), moved));
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
@@ -238,6 +242,8 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         reporter.warn("not what was rendered", &doubt);
         compared.comparison.flags.push(doubt);
     }
+    let flood_doubt = frame.correction.as_ref().and_then(|correction| correction.flood_doubt.clone());
+    compared.comparison.flags.extend(frame.altered.iter().cloned().chain(flood_doubt).chain(mask_moved));
     if frame.unmirrored {
         compared
             .comparison
@@ -273,51 +279,6 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         print!("{}", table(&compared.comparison));
     }
     Ok(0)
-}
-
-/// What `render` wrote about an image; null where there is nothing.
-fn described(path: &Path) -> serde_json::Value {
-    let bytes = read_small(&beside(path, "json")).ok();
-    bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
-}
-
-/// The simulated line integral; what has no logarithm is NaN.
-fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, CompareCommandError> {
-    let described = described(path)["quantity"].as_str().map(str::to_owned);
-    if let (Some(declared), Some(found)) = (quantity, described.clone())
-        && declared != found
-    {
-        return Err(CompareCommandError::OtherQuantity { path: path.to_owned(), declared: declared.to_owned(), found });
-    }
-    let found = quantity.map(str::to_owned).or(described).unwrap_or_else(|| "not known".into());
-    let mut pages = read_tiff_f32(path)?;
-    let image = match (pages.len(), pages.pop()) {
-        (1, Some(image)) => image,
-        (found, _) => return Err(CompareCommandError::Pages { path: path.to_owned(), found }),
-    };
-    match found.as_str() {
-        "line_integral" => Ok(image),
-        "intensity" => Ok(image.map(|&i| if i > 0.0 { -i.ln() } else { f32::NAN })),
-        _ => Err(CompareCommandError::Quantity { path: path.to_owned(), found }),
-    }
-}
-
-/// What `render` writes beside an image where some pixels are invalid, or show a guess: 1 where the picture is white.
-fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    Ok(Some(read_mask(path)?.map(|valid| u8::from(*valid))))
-}
-
-/// True where a pixel is not zero.
-fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
-    let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
-    let bytes = read_small(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
-    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
-    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-    let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
-    Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
 }
 
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {

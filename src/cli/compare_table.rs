@@ -1,6 +1,6 @@
 //! A comparison as the terminal shows it.
 
-use crate::compare::{Comparison, NULL_SCORES, Scores, Tone, elsewhere};
+use crate::compare::{Comparison, NULL_SCORES, Scores, Tone, elsewhere, with_deviation};
 
 /// The scores that there are.
 fn in_a_line(scores: &Scores) -> String {
@@ -63,8 +63,8 @@ pub(super) fn table(found: &Comparison) -> String {
     };
     if let Some(offset) = &found.air.offset {
         text += &match offset.sigma {
-            Some(sigma) => format!(", offset {:.2} ± {sigma:.2} ({})", offset.value, offset.rule),
-            None => format!(", offset {:.2} ({})", offset.value, offset.rule),
+            Some(sigma) => format!(", offset {} ({})", with_deviation(offset.value, sigma), offset.rule),
+            None => format!(", offset {} ({})", offset.value, offset.rule),
         };
         text += &offset.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
     }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::signals::on_signals;
 use crate::reporter::{Reporter, to_stdout};
 use crate::session::board::Board;
 use crate::session::file::Setup;
@@ -99,21 +100,13 @@ pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter
 /// SIGHUP end it as Ctrl-C does.
 pub(super) fn stop_on_signals(stop: &Stop, reporter: &Reporter) {
     let (stop, reporter) = (stop.clone(), reporter.clone());
-    std::thread::spawn(move || {
-        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
-        runtime.block_on(async {
-            let Ok(mut signals) = Signals::new() else { return };
-            while signals.next().await {
-                match stop.ask() {
-                    1 => reporter.note("ending the session; again to leave at once"),
-                    2 => {
-                        reporter.note("leaving at once; what is recorded is kept");
-                        leave_in_any_case(&reporter);
-                    }
-                    _ => leave_now(&reporter),
-                }
-            }
-        });
+    on_signals(move || match stop.ask() {
+        1 => reporter.note("ending the session; again to leave at once"),
+        2 => {
+            reporter.note("leaving at once; what is recorded is kept");
+            leave_in_any_case(&reporter);
+        }
+        _ => leave_now(&reporter),
     });
 }
 
@@ -132,42 +125,6 @@ fn leave_in_any_case(reporter: &Reporter) {
 fn leave_now(reporter: &Reporter) -> ! {
     reporter.note("left without a report: `sidecarm replay` makes it from the log");
     std::process::exit(3);
-}
-
-#[cfg(unix)]
-struct Signals([tokio::signal::unix::Signal; 3]);
-
-#[cfg(unix)]
-impl Signals {
-    fn new() -> std::io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self([signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?, signal(SignalKind::hangup())?]))
-    }
-
-    /// Waits for the next one; false when there will be none.
-    async fn next(&mut self) -> bool {
-        let [interrupt, terminate, hangup] = &mut self.0;
-        tokio::select! {
-            found = interrupt.recv() => found.is_some(),
-            found = terminate.recv() => found.is_some(),
-            found = hangup.recv() => found.is_some(),
-        }
-    }
-}
-
-#[cfg(not(unix))]
-struct Signals;
-
-#[cfg(not(unix))]
-impl Signals {
-    fn new() -> std::io::Result<Self> {
-        Ok(Self)
-    }
-
-    /// Waits for the next one; false when there will be none.
-    async fn next(&mut self) -> bool {
-        tokio::signal::ctrl_c().await.is_ok()
-    }
 }
 
 /// Where everything is, on standard output.

@@ -24,6 +24,7 @@ mod calibrate_intensifier_error;
 pub mod check;
 pub mod compare;
 mod compare_origin;
+mod compare_pictures;
 mod compare_table;
 #[cfg(feature = "learn")]
 pub mod dataset;
@@ -61,6 +62,7 @@ mod scattered;
 mod session_ask;
 pub mod session_new;
 mod shot_files;
+mod signals;
 pub mod spectrum;
 pub mod tags;
 pub mod time;

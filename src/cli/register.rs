@@ -31,7 +31,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
     let stored = frame_aloud(path, args.domain, reporter)?;
-    let mut notes = Vec::new();
+    let mut notes = stored.altered.clone();
     let declared = match Console::of(args, &given, &stored, &mut notes)? {
         Ok(declared) => declared,
         Err(pose) => {

@@ -35,6 +35,7 @@ pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
 pub use matched::{NullRenders, NullScatter, bead_marks, posed_scene, tool_mask};
 pub use null::{NULL_WIDTH_PX, NullError, NullPlan, Rerender};
+pub(crate) use pedestal::with_deviation;
 pub use pedestal::{OffsetReport, OffsetRule};
 pub use ranking::{NullScore, ShiftedScore};
 pub use scores::{FEWEST_PIXELS, NULL_SCORES, SSIM_CONSTANTS, Scores};
@@ -105,9 +106,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     }
     if let Some(offset) = common.air.offset.as_ref().filter(|offset| offset.rule == "shutters") {
         flags.push(format!(
-            "pedestal of {:.1} ± {:.1} subtracted ({})",
-            offset.value,
-            offset.sigma.unwrap_or(0.0),
+            "pedestal of {} subtracted ({})",
+            with_deviation(offset.value, offset.sigma.unwrap_or(0.0)),
             offset.reason.as_deref().unwrap_or("from the shutters")
         ));
     }
@@ -304,6 +304,10 @@ fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareEr
         Some(masks) => masks.binned(binning),
         None => mask::of_frame(input.acquired).binned(binning),
     };
+    // What is clipped at the dark end of a logarithm is anything but that value. Beads are found there all the same.
+    if let Some(black) = input.acquired.clipping.black_at.filter(|_| input.acquired.domain == Domain::Log) {
+        masks.add(Cause::NoSignal, mask::any_in_block(&input.acquired.pixels.map(|value| *value == black), binning));
+    }
     let checked = |what: &'static str, found: [usize; 2]| {
         if found == [width, height] { Ok(()) } else { Err(CompareError::MaskSize { what, found, expected: [width, height] }) }
     };

@@ -136,8 +136,8 @@ pub(super) fn from_shutters(
             leak_value: found.leak,
             zero_seen: true,
             ..OffsetReport::none(&format!(
-                "no pedestal: the shuttered area reads {:.1} ± {:.1} without what the blades let through",
-                found.value, found.sigma
+                "no pedestal: the shuttered area reads {} without what the blades let through",
+                with_deviation(found.value, found.sigma)
             ))
         };
     }
@@ -157,6 +157,12 @@ pub(super) fn from_shutters(
     }
 }
 
+/// A value of any unit with its deviation, to two digits of that: `712.3 ± 1.1`, `0.0500 ± 0.0012`.
+pub(crate) fn with_deviation(value: f64, sigma: f64) -> String {
+    let digits = if sigma > 0.0 && sigma.is_finite() { (1.0 - sigma.log10().floor()).clamp(1.0, 12.0) as usize } else { 6 };
+    format!("{value:.digits$} ± {sigma:.digits$}")
+}
+
 struct Intercept {
     value: f64,
     sigma: f64,
@@ -168,10 +174,15 @@ struct Intercept {
 fn intercept(samples: &[[f64; 2]], brightest: f64) -> Option<Intercept> {
     let mut kept: Vec<[f64; 2]> = samples.to_vec();
     let mut line = straight_line(&kept)?;
+    // What is rounded to steps is no outlier half a step off; values may be of any unit.
+    let mut levels: Vec<f64> = samples.iter().map(|[_, y]| *y).collect();
+    levels.sort_unstable_by(f64::total_cmp);
+    let steps = levels.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
+    let half_step = 0.5 * steps.min_by(f64::total_cmp).unwrap_or(0.0);
     for _ in 0..3 {
         let mut deviations: Vec<f32> = kept.iter().map(|[x, y]| (y - line.at(*x)).abs() as f32).collect();
         let spread = 1.4826 * quantile(&mut deviations, 0.5)?;
-        let limit = (4.0 * spread).max(1e-9 * brightest.abs()).max(0.5);
+        let limit = (4.0 * spread).max(1e-9 * brightest.abs()).max(half_step);
         kept.retain(|[x, y]| (y - line.at(*x)).abs() <= limit);
         line = straight_line(&kept)?;
     }
@@ -283,6 +294,23 @@ mod tests {
         assert!(report.rule == "none" && report.reason.as_deref().is_some_and(|why| why.contains("exactly 0")), "{report:?}");
         assert!(report.zero_seen);
         assert!(!OffsetReport::none("the frame shows no shuttered area").zero_seen, "control");
+    }
+
+    /// A label behind the blades, in stored values and in shares of the unattenuated signal.
+    #[test]
+    fn what_is_an_outlier_hangs_on_no_unit() {
+        let [mut pixels, simulated] = frame(655.0, 0.0, |_, _| 2.0);
+        (0..pixels.pixels.len()).filter(|at| at % 200 < 80 && at / 200 < 18).for_each(|at| pixels.pixels[at] = 19_660.0);
+        let mut shuttered = Image::filled(200, 160, false);
+        (0..shuttered.pixels.len()).for_each(|at| shuttered.pixels[at] = at % 200 < 80);
+        for scale in [1.0, 1.0 / 65_535.0] {
+            let pixels = pixels.map(|value| value * scale);
+            let clean = Image::filled(200, 160, true);
+            let report = from_shutters(&pixels, &simulated, Some(&shuttered), &clean, &shuttered.map(|behind| !behind));
+            assert!(report.rule == "shutters" && (report.value / f64::from(scale) - 655.0).abs() < 2.0, "{scale}: {report:?}");
+        }
+        assert_eq!(with_deviation(0.05, 0.0012), "0.0500 ± 0.0012");
+        assert_eq!(with_deviation(655.04, 12.0), "655.0 ± 12.0");
     }
 
     #[test]

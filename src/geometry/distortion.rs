@@ -70,8 +70,8 @@ pub fn terms(order: usize, x: DVec2) -> impl Iterator<Item = f64> {
     (0..=order).flat_map(move |degree| (0..=degree).map(move |j| x.x.powi((degree - j) as i32) * x.y.powi(j as i32)))
 }
 
-/// Derivatives of the terms by x and y.
-fn slopes(order: usize, x: DVec2) -> impl Iterator<Item = DVec2> {
+/// Derivatives of [`terms`] by x and y.
+pub fn term_slopes(order: usize, x: DVec2) -> impl Iterator<Item = DVec2> {
     let power = |base: f64, n: usize| if n == 0 { 0.0 } else { n as f64 * base.powi(n as i32 - 1) };
     (0..=order).flat_map(move |degree| {
         (0..=degree).map(move |j| {
@@ -168,7 +168,7 @@ impl Distortion {
     #[must_use]
     pub fn jacobian(&self, p_distorted: DVec2) -> DMat2 {
         let zero = (DVec2::ZERO, DVec2::ZERO);
-        let (by_x, by_y) = slopes(self.order, self.polynomial_place(p_distorted))
+        let (by_x, by_y) = term_slopes(self.order, self.polynomial_place(p_distorted))
             .zip(&self.shift_px)
             .fold(zero, |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
         let axes = self.axes_from_frame;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use super::Image;
+use super::new_file::sync_folder;
 use crate::regular;
 
 /// Why an image file could not be read or written.
@@ -85,6 +86,12 @@ pub enum ImageFileError {
         /// What the tag says.
         found: u16,
     },
+    /// The file shows zero white.
+    #[error("{path}: TIFF photometric interpretation (tag 262) is 0, white is zero, expected 1; write it with zero as black", path = path.display())]
+    WhiteIsZero {
+        /// The file.
+        path: PathBuf,
+    },
     /// The samples are not 32-bit float, or there are several per pixel.
     #[error("{path}: expected one 32-bit float per pixel, found {found}", path = path.display())]
     NotFloat {
@@ -105,7 +112,8 @@ pub enum ImageFileError {
     },
 }
 
-/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one, after a loss of power too.
+/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one, after a loss of power too. When it
+/// returns, the new one is on the disk.
 ///
 /// # Errors
 /// When the folder is missing or not writable, or the disk is full; nothing is left behind then.
@@ -151,6 +159,9 @@ pub fn write_lasting(
         temporary.as_file().sync_all().map_err(io)?;
     }
     temporary.persist(path).map_err(|error| io(error.error))?;
+    if lasting == Lasting::AtOnce {
+        sync_folder(path);
+    }
     Ok(())
 }
 
@@ -325,6 +336,10 @@ pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
         if let Some(found) = decoder.find_tag_unsigned(tiff::tags::Tag::Orientation).map_err(damaged)?.filter(|order| *order != 1)
         {
             return Err(ImageFileError::Turned { path: path.to_owned(), found });
+        }
+        // The decoder would turn the values round.
+        if decoder.find_tag_unsigned::<u16>(tiff::tags::Tag::PhotometricInterpretation).map_err(damaged)? == Some(0) {
+            return Err(ImageFileError::WhiteIsZero { path: path.to_owned() });
         }
         let samples = decoder.read_image().map_err(damaged)?;
         let page = match samples {

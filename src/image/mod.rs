@@ -14,7 +14,7 @@ pub use files::{
     write_tiff_f32_lasting,
 };
 
-pub use new_file::NewFile;
+pub use new_file::{NewFile, sync_folder};
 pub use ticks::{round_down, round_values};
 pub use vectors::{exp, on_widest_vectors};
 pub use video::VideoFile;

@@ -47,12 +47,27 @@ impl NewFile {
         &self.path
     }
 
-    /// Gives the file its name.
+    /// Gives the file its name, once what was written is on the disk.
     ///
     /// # Errors
-    /// [`ErrorKind::AlreadyExists`] when one of that name has appeared meanwhile.
+    /// [`ErrorKind::AlreadyExists`] when one of that name has appeared meanwhile; when the disk does not take it.
     pub fn appear(self) -> Result<PathBuf> {
+        File::options().write(true).open(&self.temporary)?.sync_all()?;
         self.temporary.persist_noclobber(&self.path).map_err(|error| error.error)?;
+        sync_folder(&self.path);
         Ok(self.path)
     }
+}
+
+/// Waits until the name of the file at `path` is on the disk, as its bytes are. Where a file system does not do that for folders, as those of some
+/// servers, a loss of power may bring back what was there before, whole.
+pub fn sync_folder(path: &Path) {
+    #[cfg(unix)]
+    {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let _ = File::open(folder).and_then(|folder| folder.sync_all());
+    }
+    // Elsewhere a folder is no file.
+    #[cfg(not(unix))]
+    let _ = path;
 }

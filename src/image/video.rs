@@ -97,7 +97,7 @@ impl VideoFile {
         Ok(())
     }
 
-    /// Closes the file.
+    /// Closes the file, once it is on the disk.
     ///
     /// # Errors
     /// One sentence, when it cannot be written.
@@ -114,7 +114,8 @@ impl VideoFile {
             self.file.seek(SeekFrom::Start(at))?;
             self.file.write_all(&value.to_le_bytes())?;
         }
-        self.file.flush()
+        self.file.flush()?;
+        self.file.get_ref().sync_all()
     }
 }
 

@@ -4,7 +4,6 @@
 //! A wrong match of a layout that resembles itself fits as well as a right one does. What tells them apart is what the frame would have to
 //! show besides.
 
-use glam::DVec2;
 use nalgebra::Matrix6;
 
 use super::besides::Besides;
@@ -15,7 +14,7 @@ use super::prior::Prior;
 use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
-use super::solve::{Free, Match, Options, about, deviation, solve};
+use super::solve::{Match, about, deviation};
 use crate::beads::Probe;
 use crate::geometry::Rigid;
 
@@ -46,23 +45,8 @@ const RADIUS_SIGMAS: f64 = 2.0;
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
 
-/// Degrees of freedom that are left with K free, and how many times more than chance each of its three numbers must then explain
-/// (quantiles of F beyond 0.9999).
-const SURE_RATIOS: [(usize, f64); 4] = [(11, 20.0), (7, 40.0), (5, 90.0), (3, 700.0)];
-/// Relative differences of the focal length from which on another K is said, and refused …
-const OTHER_FOCAL: (f64, f64) = (0.01, 0.03);
-/// … and shifts of the principal point, as a share of the width.
-const OTHER_CENTRE: (f64, f64) = (0.02, 0.05);
 /// Residuals below this are nobody's concern.
 pub(super) const LEAST_RMS_PX: f64 = 0.15;
-
-/// A K that fits the beads better than the one given.
-struct OtherK {
-    given_px: f64,
-    freed_px: f64,
-    focal_ratio: f64,
-    shift_px: f64,
-}
 
 /// Fewer beads than this follow one that is not where it should be.
 const FOLLOWING: usize = 10;
@@ -328,55 +312,5 @@ impl Case<'_> {
         let both = stated + origin_from_centroid * own * origin_from_centroid.transpose();
         let off = deviation(&last.solution.camera_from_lps, &prior.camera_from_lps);
         both.try_inverse().is_none_or(|information| !((off.transpose() * information * off)[(0, 0)] <= GATE.0))
-    }
-
-    /// The beads may fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
-    /// and turn, but not without a trace.
-    fn check_given_intrinsics(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
-        let Some(OtherK { given_px, freed_px, focal_ratio, shift_px }) = self.other_intrinsics(last) else { return Ok(()) };
-        let focal_off = (focal_ratio - 1.0).abs();
-        let width_px = f64::from(self.request.size_px[0]);
-        let beyond = |focal: f64, centre: f64| focal_off > focal || shift_px > centre * width_px;
-        if beyond(OTHER_FOCAL.1, OTHER_CENTRE.1) && given_px > LEAST_RMS_PX {
-            return Err(Refusal::Intrinsics { given_px, freed_px, focal_ratio, shift_px });
-        }
-        if beyond(OTHER_FOCAL.0, OTHER_CENTRE.0) {
-            let way = if focal_ratio < 1.0 { "shorter" } else { "longer" };
-            cautions.doubt(format!(
-                "the beads fit to {given_px:.3} px with K as given, to {freed_px:.3} px with a focal length {:.1} % {way} and the principal point {shift_px:.0} px away: check K, SID and pitch",
-                100.0 * focal_off
-            ));
-        }
-        Ok(())
-    }
-
-    /// The K that explains the beads better than chance would.
-    fn other_intrinsics(&self, last: &Settled) -> Option<OtherK> {
-        let k = self.request.intrinsics?;
-        let degrees = (2 * last.matches.len()).checked_sub(9)?;
-        let (_, needed) = *SURE_RATIOS.iter().find(|(fewest, _)| degrees >= *fewest)?;
-        let alone = |free: Free| {
-            let options = Options { iterations: 60, ..Options::least_squares(free) };
-            solve(&last.matches, &last.solution.camera_from_lps, &k, &options)
-        };
-        let free = alone(Free::Square)?;
-        let squares = |residuals: &[DVec2]| residuals.iter().map(|r| r.length_squared()).sum::<f64>();
-        // A pose that a fused prior has drawn away, or that rests on other weights, would make another K look needed.
-        let by_beads = alone(Free::Pose)?;
-        let given = squares(if self.request.fuse { &by_beads.residuals_px } else { &last.solution.residuals_px });
-        let freed = squares(&free.residuals_px);
-        // Where shadows are known far better along one direction than along the other, squares compare by their ellipses alone.
-        let (worse, better) = (by_beads.rounded_px2(&last.matches), free.rounded_px2(&last.matches));
-        let ratio = ((worse - better) / 3.0) / (better / degrees as f64);
-        let focal_ratio = free.intrinsics.fx / k.fx;
-        let shift_px = DVec2::new(free.intrinsics.cx - k.cx, free.intrinsics.cy - k.cy).length();
-        let rms = |squares: f64| (squares / last.matches.len() as f64).sqrt();
-        let found = OtherK { given_px: rms(given), freed_px: rms(freed), focal_ratio, shift_px };
-        if !(ratio > needed) {
-            let own = &last.solution.camera_from_lps;
-            self.hear(Reading::OtherIntrinsics, None, own, Rejected::NotNeeded { times: ratio, needed });
-            return None;
-        }
-        Some(found)
     }
 }

@@ -7,7 +7,7 @@ use super::case::Case;
 use super::cautions::Cautions;
 use super::doubt::ORDINARY;
 use super::explained::{Reading, Rejected};
-use super::flat::{looseness, off_plane, worst_landmark};
+use super::flat::{Loose, hold, worst_landmark};
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
@@ -98,22 +98,25 @@ impl Case<'_> {
                 settled.chi2_per_dof.sqrt()
             ));
         }
+        let misstated = self.detections.iter().filter(|shadow| shadow.misstates_covariance()).count();
+        if misstated > 0 {
+            cautions.say(format!(
+                "what is stated as the covariance of {misstated} of {} shadows is none: they are taken to be known alike along all directions, \
+                 as badly as along the worst that is stated",
+                self.detections.len()
+            ));
+        }
         if matched == self.request.fewest() {
             cautions.say(format!(
                 "no more than {matched} beads carry the pose: if one of them has moved, nothing here can tell; bring more into view"
             ));
         }
-        let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
+        let places_mm: Vec<DVec3> = settled.matches.iter().map(|m| m.lps_mm).collect();
         let at_landmark = worst_landmark(&settled.solution, self.request.landmarks, &covariance);
-        let is_asked = at_landmark.is_some();
-        match looseness(at_landmark.unwrap_or_else(|| (off_plane.sigma_px, "off their plane".to_owned()))) {
-            // Off the beads' plane nobody may want anything; at a landmark somebody does.
-            Some(loose) if is_asked => cautions.doubt(loose),
-            Some(loose) => cautions.say(loose),
-            None if off_plane.is_degenerate() => notes.push(format!(
-                "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
-                off_plane.sigma_px
-            )),
+        match hold(&settled.solution, &places_mm, at_landmark, &covariance) {
+            Some(Loose::AtLandmark(words)) => cautions.doubt(words),
+            Some(Loose::OffPlane(words)) => cautions.say(words),
+            Some(Loose::NearlyFlat(words)) => notes.push(words),
             None => {}
         }
         if matched < candidate.hypothesis.in_view {

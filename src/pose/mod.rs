@@ -25,6 +25,7 @@ mod moved;
 mod occupancy;
 mod on_panel;
 mod orientation;
+mod other_intrinsics;
 mod prior;
 mod prior_use;
 mod propose;

@@ -40,8 +40,8 @@ pub struct Shadow {
     pub image_px: [f64; 2],
     /// Standard deviation of the centre per axis.
     pub sigma_px: f64,
-    /// Covariance of the centre, columns and rows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Covariance of the centre, columns and rows. A file that states one that is none cannot be read.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "super::residual::covariance_px2")]
     pub covariance_px2: Option<[[f64; 2]; 2]>,
     /// Fitted radius.
     pub radius_px: f64,

@@ -1,10 +1,11 @@
 //! The part of each bead and each tag in a pose, and by how much the pose misses it.
 
 use glam::DVec3;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::beads::tags::Family;
-use crate::beads::{Detection, PlaceCovariance};
+use crate::beads::{Detection, PlaceCovariance, is_covariance_px2};
 
 /// A bead's part in a pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,8 +28,8 @@ pub struct BeadResidual {
     pub residual_px: Option<[f64; 2]>,
     /// Standard deviation of the observed centre per axis, the mean of both.
     pub sigma_px: Option<f64>,
-    /// Covariance of the observed centre, columns and rows, from the image alone.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    /// Covariance of the observed centre, columns and rows, from the image alone. A file that states one that is none cannot be read.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "covariance_px2")]
     pub covariance_px2: Option<[[f64; 2]; 2]>,
     /// Observed minus predicted by the pose of all other used beads: what an unseen point would have shown.
     pub left_out_px: Option<[f64; 2]>,
@@ -46,6 +47,17 @@ pub struct BeadResidual {
     /// It has the role `check`.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub check: bool,
+}
+
+/// Reads a covariance of a centre, by rows in px², or none.
+pub(super) fn covariance_px2<'de, D: Deserializer<'de>>(from: D) -> Result<Option<[[f64; 2]; 2]>, D::Error> {
+    let stated = Option::<[[f64; 2]; 2]>::deserialize(from)?;
+    match stated {
+        Some(rows) if !is_covariance_px2(&rows) => {
+            Err(D::Error::custom(format_args!("{rows:?} px² is no covariance: symmetric, and positive along every direction")))
+        }
+        stated => Ok(stated),
+    }
 }
 
 /// uu, uv, vv of a centre whose covariance is stated and is one, else of `sigma_px` along both axes.

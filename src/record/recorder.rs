@@ -12,14 +12,13 @@ use foxglove::Encode;
 use super::channel::Kind;
 use super::chunk::{ClosedChunk, OpenChunk};
 use super::messages::{self, BeadMark, Level, Placed};
-use super::place::Watched;
 use super::queue::{Queue, RecorderHealth};
 use super::sink::{LogTarget, OwnFile, Sink};
 use super::writer::{Summary, write_until_finished};
 use super::{Provenance, RecordError, topic};
 use crate::acquire::{Frame, Samples};
 use crate::geometry::View;
-use crate::image::{Image, sha256_bytes};
+use crate::image::{Image, sha256_bytes, sync_folder};
 use crate::time::Stopwatch;
 
 /// How often whoever leaves looks whether the writer has ended.
@@ -31,6 +30,8 @@ const LOOK: Duration = Duration::from_millis(5);
 /// [`Recorder::finish`]. Large messages are compressed by whoever records them, so that they do not delay telemetry.
 pub struct Recorder {
     path: PathBuf,
+    /// The file, whoever writes it; none in tests that record into something else.
+    log: Option<File>,
     queue: Arc<Queue>,
     /// Channels of large messages, and how many of each were prepared.
     prepared: Mutex<HashMap<&'static str, (u16, u32)>>,
@@ -68,7 +69,8 @@ impl Recorder {
     /// When the file exists or cannot be created.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, RecordError> {
         let (queue, file) = (Arc::new(Queue::new(path)), new_file(path)?);
-        Self::start(path, &queue, Box::new(own_file(path, file, &queue)?), provenance)
+        let log = Some(another(path, &file)?);
+        Self::start((path, log), &queue, Box::new(OwnFile::of(path, file, &queue)?), provenance)
     }
 
     /// As [`Recorder::create`], but the file is written by a process of its own, which a kill −9 of this one leaves alone: `program`,
@@ -83,12 +85,13 @@ impl Recorder {
         provenance: &Provenance,
     ) -> Result<(Self, Option<std::io::Error>), RecordError> {
         let (queue, file) = (Arc::new(Queue::new(path)), new_file(path)?);
+        let log = Some(another(path, &file)?);
         let (sink, unkept): (Box<dyn Sink>, _) = match keeper(program, path, &file, &queue) {
             Ok(Some(kept)) => (kept, None),
-            Ok(None) => (Box::new(own_file(path, file, &queue)?), None),
-            Err(error) => (Box::new(own_file(path, file, &queue)?), Some(error)),
+            Ok(None) => (Box::new(OwnFile::of(path, file, &queue)?), None),
+            Err(error) => (Box::new(OwnFile::of(path, file, &queue)?), Some(error)),
         };
-        Ok((Self::start(path, &queue, sink, provenance)?, unkept))
+        Ok((Self::start((path, log), &queue, sink, provenance)?, unkept))
     }
 
     /// Records into `target`; `path` serves messages only.
@@ -99,10 +102,15 @@ impl Recorder {
         let queue = Arc::new(Queue::new(path));
         let sink =
             OwnFile { target, watched: None, path: path.to_owned(), queue: Arc::clone(&queue), delivered: 0, at_rest: false };
-        Self::start(path, &queue, Box::new(sink), provenance)
+        Self::start((path, None), &queue, Box::new(sink), provenance)
     }
 
-    fn start(path: &Path, queue: &Arc<Queue>, sink: Box<dyn Sink>, provenance: &Provenance) -> Result<Self, RecordError> {
+    fn start(
+        (path, log): (&Path, Option<File>),
+        queue: &Arc<Queue>,
+        sink: Box<dyn Sink>,
+        provenance: &Provenance,
+    ) -> Result<Self, RecordError> {
         let mut prepared = HashMap::new();
         for (topic, kind) in Kind::announced() {
             let id = queue.announce(topic, kind);
@@ -116,7 +124,8 @@ impl Recorder {
                 move || write_until_finished(&path, sink, &queue)
             })
             .map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
-        let recorder = Self { path: path.to_owned(), queue, prepared: Mutex::new(prepared), thread: Mutex::new(Some(thread)) };
+        let (prepared, thread) = (Mutex::new(prepared), Mutex::new(Some(thread)));
+        let recorder = Self { path: path.to_owned(), log, queue, prepared, thread };
         recorder.json(topic::PROVENANCE, provenance.started_us, provenance)?;
         Ok(recorder)
     }
@@ -288,17 +297,23 @@ impl Recorder {
         self.queue.attach(name, media_type, nanoseconds(host_us), data)
     }
 
-    /// Writes what waits, the summary and the footer.
+    /// Writes what waits, the summary and the footer, and waits until all of it is on the disk.
     ///
     /// # Errors
     /// When writing failed now or earlier, or the log was finished before.
     pub fn finish(&self) -> Result<Summary, RecordError> {
         let thread = self.last_taken()?;
-        self.ended(thread)
+        let summary = self.ended(thread)?;
+        if let Some(log) = &self.log {
+            log.sync_all().map_err(|source| RecordError::Io { path: self.path.clone(), source })?;
+            sync_folder(&self.path);
+        }
+        Ok(summary)
     }
 
-    /// As [`Self::finish`], of a disk that may stand still: waits for so long. `None` when the file is not written to its end by then, and
-    /// a process of its own writes what is left of it: all is handed over, and this process may end.
+    /// As [`Self::finish`], of a disk that may stand still: waits for so long, and not for what the system has still to put on the disk. `None`
+    /// when the file is not written to its end by then, and a process of its own writes what is left of it: all is handed over, and this process
+    /// may end.
     ///
     /// # Errors
     /// As [`Self::finish`]; when the disk does not follow in time, and nobody else has what is left.
@@ -359,16 +374,9 @@ fn new_file(path: &Path) -> Result<File, RecordError> {
     })
 }
 
-fn own_file(path: &Path, file: File, queue: &Arc<Queue>) -> Result<OwnFile, RecordError> {
-    let watched = Watched::new(&file).map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
-    Ok(OwnFile {
-        target: Box::new(file),
-        watched: Some(watched),
-        path: path.to_owned(),
-        queue: Arc::clone(queue),
-        delivered: 0,
-        at_rest: false,
-    })
+/// Another handle of the same file.
+fn another(path: &Path, file: &File) -> Result<File, RecordError> {
+    file.try_clone().map_err(|source| RecordError::Io { path: path.to_owned(), source })
 }
 
 #[cfg(target_os = "linux")]

@@ -1,9 +1,11 @@
 //! What takes the bytes of a log: a file that this process writes itself, or a keeper (`handover.rs`).
 
+use std::fs::File;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::RecordError;
 use super::place::{CUT, DELETED, Place, Watched};
 use super::queue::Queue;
 
@@ -27,6 +29,18 @@ pub(super) struct OwnFile {
     pub(super) delivered: u64,
     /// Nothing was written since.
     pub(super) at_rest: bool,
+}
+
+impl OwnFile {
+    /// `file`, which is empty and lies at `path`.
+    ///
+    /// # Errors
+    /// When the system gives no second handle of it.
+    pub(super) fn of(path: &Path, file: File, queue: &Arc<Queue>) -> Result<Self, RecordError> {
+        let watched = Watched::new(&file).map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
+        let (target, queue) = (Box::new(file), Arc::clone(queue));
+        Ok(Self { target, watched: Some(watched), path: path.to_owned(), queue, delivered: 0, at_rest: false })
+    }
 }
 
 impl Write for OwnFile {

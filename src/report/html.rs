@@ -61,7 +61,8 @@ fn backgrounds(strips: &[Option<Shown>]) -> PreEscaped<String> {
 
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    let upper = *values.get(values.len() / 2)?;
+    Some(if values.len().is_multiple_of(2) { f64::midpoint(values[values.len() / 2 - 1], upper) } else { upper })
 }
 
 fn summary(report: &SessionReport, title: &str) -> Markup {
@@ -236,5 +237,17 @@ fn provenance(report: &SessionReport) -> Markup {
             }
         }
         p class="dim" style="margin-top:14px" { "For research use only; not a medical device." }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::median;
+
+    #[test]
+    fn the_median_of_two_lies_between_them() {
+        assert_eq!(median(vec![0.2, 0.05]), Some(0.125));
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(Vec::new()), None);
     }
 }

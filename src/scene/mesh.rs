@@ -1,9 +1,10 @@
 //! STL surfaces: welded, checked for holes, turned the right way out.
 
 use std::collections::HashMap;
+use std::io::Read;
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::SceneError;
 use super::crossings::crossing_faces;
@@ -83,6 +84,28 @@ pub fn mesh_unit_doubt(longest_mm: f64) -> Option<String> {
         "its longest side is {longest_mm:.3e} mm, the coordinates look like {unit}; STL is read in mm: scale it by {factor} where it was \
          made, if that is so (lps_from_mesh only turns and shifts)"
     ))
+}
+
+/// Most that a header takes: 80 bytes of a binary STL, a line of a text.
+const HEADER_BYTES: u64 = 256;
+
+/// `lps_from_mesh` by the file's own word: 3D Slicer and others write `SPACE=RAS` or `SPACE=LPS` into the header. Without one, LPS.
+///
+/// # Errors
+/// When the file cannot be read.
+pub(super) fn stated_frame(path: &Path, reporter: &Reporter) -> Result<Rigid, SceneError> {
+    let mut head = Vec::new();
+    let read = crate::regular::open(path).and_then(|file| file.take(HEADER_BYTES).read_to_end(&mut head));
+    read.map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let line = head.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    let is_ras = line.to_ascii_uppercase().windows(9).any(|word| word == b"SPACE=RAS");
+    if !is_ras {
+        return Ok(Rigid::IDENTITY);
+    }
+    let words = "its header says SPACE=RAS: x and y were negated to LPS; give lps_from_mesh where that is not meant";
+    reporter.warn("mesh frame", format_args!("{}: {words}", path.display()));
+    // Both axes turn round: half a turn about z.
+    Ok(Rigid { rotation: DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0), ..Rigid::IDENTITY })
 }
 
 /// Places a surface in the scene.

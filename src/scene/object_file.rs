@@ -167,9 +167,9 @@ pub struct MeshFile {
     pub path: String,
     /// What it is made of.
     pub material: String,
-    /// Pose.
-    #[serde(default = "identity")]
-    pub lps_from_mesh: Rigid,
+    /// Pose; if absent, the file's coordinates are LPS, or what its header says.
+    #[serde(default)]
+    pub lps_from_mesh: Option<Rigid>,
     /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,

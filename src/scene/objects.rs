@@ -201,7 +201,10 @@ impl Builder<'_> {
     fn mesh(&mut self, file: &MeshFile) -> Result<Matter, SceneError> {
         let (material, density_g_per_cm3) = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
         let path = self.find("path", &file.path)?;
-        let pose = self.pose("lps_from_mesh", &file.lps_from_mesh)?;
+        let pose = match &file.lps_from_mesh {
+            Some(pose) => self.pose("lps_from_mesh", pose)?,
+            None => mesh::stated_frame(&path, self.reporter)?,
+        };
         let surface = mesh::read_surface(&path, self.reporter)?;
         Ok(Matter::Mesh(Arc::new(mesh::placed(surface, &pose, material, density_g_per_cm3))))
     }

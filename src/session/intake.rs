@@ -30,7 +30,7 @@ const FEW: usize = 4;
 /// A file that takes longer is passed by the next.
 const SLOW_MS: f64 = 150.0;
 /// Files that are read at once, at most: each by a process that may take much memory.
-const MOST_READ: usize = 4;
+pub(super) const MOST_READ: usize = 4;
 /// Pixels of frames that wait to be developed may take this much memory, those on the disk apart; then reading waits, and files wait in their
 /// folder.
 const MOST_PIXEL_BYTES: usize = 2 << 30;

@@ -32,6 +32,8 @@ pub(super) struct Recorded {
     pub(super) scores: BTreeMap<u32, PairDigest>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
+    /// How often that order names each frame.
+    orders: BTreeMap<u32, usize>,
     /// Beads were edited.
     pub(super) has_edits: bool,
     pub(super) losses: Vec<String>,
@@ -127,7 +129,13 @@ impl Recorded {
                         found.hashes.insert(number, sha256);
                     }
                 }
-                ORDER_TOPIC => found.has_order = true,
+                ORDER_TOPIC => {
+                    found.has_order = true;
+                    let of: Option<OfFrame> = tolerance.take(entry.json());
+                    if let Some(number) = of.and_then(|of| of.number) {
+                        *found.orders.entry(number).or_default() += 1;
+                    }
+                }
                 EDIT_TOPIC => found.has_edits = true,
                 _ => {}
             }
@@ -136,6 +144,14 @@ impl Recorded {
         found.losses.splice(0..0, damage);
         found.losses.extend(tolerance.losses());
         Ok(found)
+    }
+
+    /// How often the session registered a frame: again, where its exposure became clear only later. Logs without an order say it with poses.
+    pub(super) fn times_registered(&self, number: u32) -> usize {
+        match self.has_order {
+            true => self.orders.get(&number).copied().unwrap_or(0),
+            false => self.poses.keys().filter(|(of, _)| *of == number).count(),
+        }
     }
 
     /// Whether the session drew no DRR of this development, because the frame's next edit came first.

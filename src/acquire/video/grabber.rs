@@ -8,7 +8,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::super::spool::Spool;
-use super::capture::{Capture, CaptureError};
+use super::capture::{Capture, CaptureError, Opening};
 use super::picture::write_picture;
 use super::settings::VideoSettings;
 use super::stillness::{Leftover, Noted, Stillness};
@@ -19,6 +19,8 @@ use crate::time::{Stopwatch, host_now_us};
 const AGAIN: Duration = Duration::from_millis(500);
 /// A device that has given no picture for so long is silent, though its driver still waits for one.
 const SILENT: Duration = Duration::from_secs(3);
+/// What has not opened after so long is opened anew, or given up: longer than a stream's own patience with its server, 30 s.
+const OPENS_WITHIN: Duration = Duration::from_secs(40);
 /// How often is looked whether it is all over.
 const LOOK: Duration = Duration::from_millis(200);
 /// Pictures that wait.
@@ -198,11 +200,15 @@ impl Grabbing<'_> {
     fn run(&mut self) -> Result<(), GrabError> {
         let failed = |error: &CaptureError| GrabError::Video { from: self.settings.from.clone(), detail: error.to_string() };
         loop {
-            match Capture::open(&self.settings.from) {
-                Ok(capture) => {
+            match self.open() {
+                Ok(Some(capture)) => {
                     if self.follow(capture)? {
                         return Ok(());
                     }
+                }
+                Ok(None) => {
+                    self.end(self.elapsed_s());
+                    return Ok(());
                 }
                 Err(error) if !self.options.wait || is_final(&error) => return Err(failed(&error)),
                 Err(error) => self.lose(error.to_string()),
@@ -211,6 +217,26 @@ impl Grabbing<'_> {
             if self.is_over(self.elapsed_s()) {
                 self.end(self.elapsed_s());
                 return Ok(());
+            }
+        }
+    }
+
+    /// Opens the video; `None` when it is all over before that.
+    fn open(&self) -> Result<Option<Capture>, CaptureError> {
+        let mut opening = Opening::of(&self.settings.from)?;
+        let is_recording = Path::new(&self.settings.from).is_file();
+        let watch = Stopwatch::start();
+        loop {
+            if let Some(capture) = opening.wait(LOOK)? {
+                return Ok(Some(capture));
+            }
+            // The seconds of a recording are its own.
+            let at_s = if is_recording { 0.0 } else { self.elapsed_s() };
+            if self.is_over(at_s) {
+                return Ok(None);
+            }
+            if !(watch.ms() < 1e3 * OPENS_WITHIN.as_secs_f64()) {
+                return Err(CaptureError::Late { limit_s: OPENS_WITHIN.as_secs() });
             }
         }
     }

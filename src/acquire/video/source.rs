@@ -184,12 +184,12 @@ impl FrameSource for GrabbedSource {
     }
 }
 
-/// Grabs `seconds` of a video for a trial and returns what happened.
+/// Grabs `seconds` of a video for a trial and returns what happened. Pictures go to a temporary folder in `within`.
 ///
 /// # Errors
 /// When there is no video, or the process that looks ends otherwise than it should.
-pub fn probe(settings: &VideoSettings, seconds: f64) -> Result<Vec<Grabbed>, GrabError> {
-    let folder = tempfile::tempdir().map_err(|error| GrabError::Start { detail: error.to_string() })?;
+pub fn probe(settings: &VideoSettings, seconds: f64, within: &Path) -> Result<Vec<Grabbed>, GrabError> {
+    let folder = tempfile::tempdir_in(within).map_err(|error| GrabError::Start { detail: error.to_string() })?;
     let wanted = Wanted { settings: settings.clone(), path: folder.path().to_owned(), include_first: true };
     let (sender, said) = channel();
     let seconds = seconds.to_string();

@@ -1,6 +1,7 @@
 //! From shots to a calibration: what is solved, which shots are left out, and how well each is predicted by the others.
 
 use super::parameters::Parameter;
+use super::places::agreed;
 use super::shot::Shot;
 use super::solve::{CameraError, Solution, by_beads, predicted, solve};
 use super::spread::{CameraSigmas, camera_sigmas};
@@ -55,9 +56,11 @@ pub struct CarmFit {
 /// Fits an arm to shots.
 ///
 /// # Errors
-/// When there are too few shots, a joint is missing, the shots do not determine the arm, or too many contradict each other.
+/// When there are too few shots, a joint is missing, two shots state other places of one bead, the shots do not determine the arm, or too
+/// many contradict each other.
 pub fn calibrate(shots: &[Shot], nominal: &CarmCalibration, sensors: &Sensors) -> Result<CarmFit, CarmFitError> {
     check(shots, nominal)?;
+    let shots = agreed(shots)?;
     let parameters = Parameter::all(nominal.pitch_mm);
     let mut used: Vec<&Shot> = shots.iter().collect();
     let mut left_out: Vec<LeftOutShot> = Vec::new();

@@ -9,6 +9,7 @@
 
 mod parameters;
 mod shot;
+mod places;
 mod shots_of;
 mod solve;
 mod spread;
@@ -90,6 +91,24 @@ pub enum CarmFitError {
         found: [u32; 2],
         /// Those of the calibration.
         expected: [u32; 2],
+    },
+    /// Two shots state places of one bead that are not one.
+    #[error(
+        "bead {bead}: shots {} and {} state places {distance_mm:.2} mm apart, {sigmas:.1} standard deviations of both (limit {limit:.1}): \
+         register all shots on one layout of one scan, or state the beads' sigma_mm",
+        shots[0], shots[1]
+    )]
+    OtherPlace {
+        /// Which.
+        bead: String,
+        /// Names of the two.
+        shots: [String; 2],
+        /// Between the places.
+        distance_mm: f64,
+        /// The same in standard deviations of both (three degrees of freedom).
+        sigmas: f64,
+        /// Most that is taken for one place.
+        limit: f64,
     },
     /// All shots from one side.
     #[error(

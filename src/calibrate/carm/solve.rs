@@ -56,7 +56,7 @@ fn start(nominal: &CarmCalibration, shots: &[&Shot]) -> Result<Rigid, CarmCalibr
     Ok(best.copied().unwrap_or(Rigid::IDENTITY))
 }
 
-/// Solves for everything, from nominal.
+/// Solves for everything, from nominal; all shots state the same of a bead's place.
 pub(super) fn solve(
     shots: &[&Shot],
     nominal: &CarmCalibration,

@@ -163,13 +163,14 @@ fn check_filtration(declared: Option<&str>, groups: &[groups::Group]) -> Result<
     Ok(())
 }
 
-/// Everything that filters a beam: what is declared, and what the frames state of other materials. `None` where a thickness is not known.
+/// Everything that filters a beam: what is declared, and what the frames state of other materials. `None` where a thickness is not known, or what
+/// a material is.
 fn filtration(declared: Option<&str>, added: Option<&AddedFilter>) -> Option<String> {
     let declared = declared?;
     let mut all = declared.to_owned();
     let others = added.into_iter().flat_map(AddedFilter::materials).filter(|(material, _)| !declares(declared, *material));
     for (material, thickness_mm) in others {
-        let [least_mm, most_mm] = thickness_mm?;
+        let [least_mm, most_mm] = thickness_mm.filter(|_| material != FilterMaterial::Other)?;
         all += &format!(",{}={}", material.names()[0], 0.5 * (least_mm + most_mm));
     }
     Some(all)

@@ -1,6 +1,6 @@
 //! What the common solution says of each view, and of each bead.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
 use super::record::{BeadVerdict, SolvedBead};
@@ -11,7 +11,7 @@ use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
 use crate::pose::cautions::is_of_looseness;
-use crate::pose::flat::{looseness, worst_landmark};
+use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
 use crate::pose::record::{BodyPose, Pose, square};
 use crate::pose::residual::BeadResidual;
 use crate::pose::solve::{Free, Solution};
@@ -67,9 +67,13 @@ impl Common<'_> {
             shadow.bead = shadow.bead.take().filter(rests);
         }
         let bodies = BodyPose::of_beads(&beads, |n| self.lps_from_body(view, n));
-        // What its own beads hold loosely all views together may hold.
+        // What its own beads hold loosely all views together may hold: how loosely is told anew, at a landmark where one is asked for.
         let at_landmark = worst_landmark(&solution, self.landmarks, &solution.covariance);
-        let stands = |words: &str| at_landmark.is_none() || !is_of_looseness(words);
+        let is_asked = at_landmark.is_some();
+        let stands = |words: &str| !(is_off_plane(words) || (is_asked && is_of_looseness(words)));
+        let holds = |n: &usize| beads[*n].used && self.lps_from_body(view, *n) == Rigid::IDENTITY;
+        let places_mm: Vec<DVec3> = (0..setup.layout.beads.len()).filter(holds).map(|n| setup.layout.beads[n].lps_mm).collect();
+        let loose = hold(&solution, &places_mm, at_landmark, &solution.covariance);
         let mut pose = Pose {
             projection: Some(Projection::compose(&k, &camera)),
             intrinsics: Some(k),
@@ -89,10 +93,14 @@ impl Common<'_> {
             shadows,
             doubt: alone.doubt.clone().filter(|words| stands(words)),
             cautions: alone.cautions.iter().filter(|words| stands(words)).cloned().collect(),
+            notes: alone.notes.iter().filter(|words| stands(words)).cloned().collect(),
             ..alone.clone()
         };
-        if let Some(loose) = at_landmark.and_then(looseness) {
-            pose.doubt(loose);
+        match loose {
+            Some(Loose::AtLandmark(words)) => pose.doubt(words),
+            Some(Loose::OffPlane(words)) => pose.cautions.push(words),
+            Some(Loose::NearlyFlat(words)) => pose.notes.push(words),
+            None => {}
         }
         pose.on_panel_anew()
     }

@@ -41,7 +41,23 @@ pub(super) fn check_filter(beam: Option<&CarmSample>, tags: Option<&FilterTags>,
     let tagged = tags.map(AddedFilter::by_header);
     let tagged = tagged.as_ref();
     let apart = beam.zip(tagged).and_then(|(beam, tagged)| METALS.iter().find_map(|metal| against_tags(metal, beam, tagged)));
-    apart.or_else(|| METALS.iter().find_map(|metal| against_scene(metal, beam, tagged, scene_json)))
+    let found = apart.or_else(|| METALS.iter().find_map(|metal| against_scene(metal, beam, tagged, scene_json)));
+    found.or_else(|| not_understood(tags?))
+}
+
+/// A filter of which something is known, and not all.
+fn not_understood(tags: &FilterTags) -> Option<Finding> {
+    tags.layers.iter().any(|layer| layer.material == FilterMaterial::Other).then(|| {
+        let known = FilterMaterial::ALL.map(|material| material.names()[0]).join(", ");
+        let detail = format!(
+            "the frame's tags name a filter material that is none of the standard's ({known}): it is not known what it is"
+        );
+        Finding::warn(
+            CHECK,
+            detail,
+            "see at the console what is in the beam: the scene and the air frames have to be of that filter",
+        )
+    })
 }
 
 /// The filter that telemetry reports against the one that is rendered.
@@ -111,5 +127,16 @@ mod tests {
         assert!(words.contains("telemetry says 0.30 mm of copper") && words.contains("tags say 0.00 mm"), "{words}");
         assert_eq!(said(&listed(FilterMaterial::Copper)), None, "the control");
         assert_eq!(said(&FilterTags::default()), None, "nothing is listed");
+    }
+
+    /// Its word was dropped, and what was left counted as all that is in the beam: copper, for one, was none.
+    #[test]
+    fn a_material_that_nobody_understands_is_said_and_may_be_any() {
+        let layer = |material| FilterLayer { material, thickness_mm: Some([0.3; 2]) };
+        let layers = vec![layer(FilterMaterial::Aluminum), layer(FilterMaterial::Other)];
+        let tags = FilterTags { form: None, layers };
+        let beam = CarmSample { filter_mm_cu: 0.3, ..CarmSample::UNTOLD };
+        let words = check_filter(Some(&beam), Some(&tags), "{}").map(|found| found.to_string()).unwrap_or_default();
+        assert!(words.contains("none of the standard's") && !words.contains("0.00 mm"), "{words}");
     }
 }

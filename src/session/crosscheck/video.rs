@@ -1,5 +1,7 @@
 //! Whether pictures come of the video output that a session names.
 
+use std::path::Path;
+
 use super::super::file::Setup;
 use super::finding::Finding;
 use crate::acquire::video::{Grabbed, probe};
@@ -7,12 +9,12 @@ use crate::acquire::video::{Grabbed, probe};
 /// So much of the video is looked at.
 const LOOK_S: f64 = 3.0;
 
-/// Looks at the video for a moment.
+/// Looks at the video for a moment; its pictures go to a temporary folder in `within`.
 #[must_use]
-pub fn check_video(setup: &Setup) -> Option<Finding> {
+pub fn check_video(setup: &Setup, within: &Path) -> Option<Finding> {
     let video = setup.session.frames.video.as_ref()?;
     let remedy = "name a capture device or a file under frames.video.from, and end the program that has it";
-    let events = match probe(video, LOOK_S) {
+    let events = match probe(video, LOOK_S, within) {
         Ok(events) => events,
         Err(error) => return Some(Finding::fail("video", error.to_string(), remedy)),
     };

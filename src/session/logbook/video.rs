@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::LogbookError;
-use crate::image::{NewFile, VideoFile, read_png_rgb};
+use crate::image::{NewFile, VideoFile, read_png_rgb, sync_folder};
 use crate::regular;
 use crate::report::PairsFile;
 use crate::reporter::Reporter;
@@ -88,5 +88,6 @@ pub fn write_video(log: &Path, out: &Path, pace: Pace, reporter: &Reporter) -> R
     }
     video.finish().map_err(|detail| failed(out, detail))?;
     temporary.persist_noclobber(out).map_err(|error| LogbookError::Out { path: out.to_owned(), source: error.error })?;
+    sync_folder(out);
     Ok(VideoReport { path: out.to_owned(), pairs: shown.len(), without_strip, seconds: f64::from(pictures) / PER_S })
 }

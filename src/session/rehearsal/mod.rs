@@ -4,7 +4,7 @@
 //! joints, angles ── packets ───────────────────────────┐
 //! scene ─ render ─ console ─ file in a watched folder ─┴─ engine: telemetry, import, masks, beads, P ─ workshop: DRR, scores, strip
 //! ```
-//! All files lie in a temporary folder and are removed. Ports and threads that only record are not rehearsed.
+//! All files lie in a temporary folder of their own and are removed. Ports and threads that only record are not rehearsed.
 
 mod console;
 mod lines;
@@ -46,10 +46,10 @@ const TELLING: [&str; 7] =
 const BY_SCENE: &str = "correct the scene or the calibration; `sidecarm render --explain` says more";
 const FAULT: &str = "report this with the session's files";
 
-/// Rehearses an exposure.
+/// Rehearses an exposure; its files go to a temporary folder in `within`.
 #[must_use]
-pub fn rehearse(setup: &Setup, scene: &Scene, layout: &BeadLayout, renderer: Renderer) -> Finding {
-    let temporary = match tempfile::tempdir() {
+pub fn rehearse(setup: &Setup, scene: &Scene, layout: &BeadLayout, renderer: Renderer, within: &Path) -> Finding {
+    let temporary = match tempfile::tempdir_in(within) {
         Ok(temporary) => temporary,
         Err(error) => return failed(format!("no temporary folder: {error}"), "see to the temporary folder (TMPDIR)"),
     };

@@ -100,8 +100,7 @@ impl Played {
         })?;
         let number = posed.number;
         workshop.submit(posed, None);
-        // Without a bound of its own: whoever asks has one (`check --limit`), and says then what was found so far. Ctrl-C ends the program, which
-        // holds nothing that could be lost.
+        // Without a bound of its own: whoever asks has one (`check --limit`), and says then, and at Ctrl-C, what was found so far.
         let developed = pairs.recv().map_err(|_| SessionError::WorkshopDied)?;
         workshop.join()?;
         let pair = developed.pair.clone();

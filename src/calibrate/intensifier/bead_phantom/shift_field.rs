@@ -1,9 +1,9 @@
 //! A polynomial shift from places in the frame to places without distortion, in the gauge of the calibration.
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use nalgebra::DMatrix;
 
-use crate::geometry::{Distortion, DistortionError, term_count, terms};
+use crate::geometry::{Distortion, DistortionError, term_count, term_slopes, terms};
 use crate::mask::Disc;
 
 /// Undistorted minus distorted over a disc, before anyone knows whether it can be inverted.
@@ -42,6 +42,23 @@ impl ShiftField {
     /// Where `p` would be without distortion.
     pub fn straight(&self, p: DVec2) -> DVec2 {
         p + self.terms_at(p).iter().zip(&self.shift_px).map(|(term, shift)| *term * *shift).sum::<DVec2>()
+    }
+
+    /// Derivative of [`ShiftField::straight`].
+    pub fn jacobian(&self, p: DVec2) -> DMat2 {
+        let slopes = term_slopes(self.order, (p - self.disc.centre) / self.disc.radius_px);
+        let (by_x, by_y) = slopes
+            .zip(&self.shift_px)
+            .fold((DVec2::ZERO, DVec2::ZERO), |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
+        DMat2::IDENTITY + DMat2::from_cols(by_x, by_y) * self.disc.radius_px.recip()
+    }
+
+    /// Covariance (uu, uv, vv), px², of the straight place of a shadow at `p` that is known in the frame to `noise_px2`.
+    // The straight place moves with the shadow by J = ∂straight/∂p, so that noise N of the one is J N Jᵀ of the other.
+    pub fn straight_noise_px2(&self, p: DVec2, [uu, uv, vv]: [f64; 3]) -> [f64; 3] {
+        let jacobian = self.jacobian(p);
+        let noise = jacobian * DMat2::from_cols_array(&[uu, uv, uv, vv]) * jacobian.transpose();
+        [noise.x_axis.x, noise.y_axis.x, noise.y_axis.y]
     }
 
     /// The same as a distortion that can be inverted.
@@ -83,6 +100,7 @@ pub fn free_directions(order: usize) -> DMatrix<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::{Purpose, Stream};
 
     #[test]
     fn a_trial_moves_the_rim_inwards_and_around_and_the_centre_not() {
@@ -98,6 +116,37 @@ mod tests {
         assert_eq!(cases, 8);
         assert!(field.straight(disc.centre) == disc.centre && field.distortion().is_ok());
         assert_eq!(field.of_order(5).straight(DVec2::new(300.0, 111.0)), field.straight(DVec2::new(300.0, 111.0)));
+    }
+
+    /// Shadows that scatter about a place near the rim, drawn: their straight places scatter as is stated.
+    #[test]
+    fn noise_of_a_shadow_goes_through_the_field() {
+        const DRAWS: usize = 20_000;
+        let field = ShiftField::trial(Disc { centre: DVec2::new(250.0, 260.0), radius_px: 200.0 }, 0.12, 0.05);
+        let (place, [long_px, short_px]) = (DVec2::new(250.0 + 130.0, 260.0 + 120.0), [0.3, 0.05]);
+        let along = DVec2::from_angle(0.3);
+        let wide = long_px * long_px - short_px * short_px;
+        let least = short_px * short_px;
+        let noise_px2 = [least + wide * along.x * along.x, wide * along.x * along.y, least + wide * along.y * along.y];
+        let mut random = Stream::new(1, 64, 0, Purpose::Evaluation);
+        let mut drawn = [0.0; 3];
+        for _ in 0..DRAWS {
+            let noise = along * (long_px * random.normal()) + along.perp() * (short_px * random.normal());
+            let off = field.straight(place + noise) - field.straight(place);
+            let squares = [off.x * off.x, off.x * off.y, off.y * off.y];
+            drawn.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square / DRAWS as f64);
+        }
+        // Variances of so many draws are known to 1 %.
+        let scale = noise_px2[0] + noise_px2[2];
+        let off_by = |stated: [f64; 3]| stated.iter().zip(drawn).map(|(a, b)| (a - b).abs() / scale).fold(0.0, f64::max);
+        let stated = field.straight_noise_px2(place, noise_px2);
+        assert!(off_by(stated) < 0.03, "{stated:?} {drawn:?}");
+        assert!(off_by(noise_px2) > 0.15, "the control, noise as it is in the frame: {noise_px2:?} {drawn:?}");
+        let distortion = field.distortion().expect("it can be inverted");
+        assert!((0..4).all(|n| {
+            let difference = field.jacobian(place) - distortion.jacobian(place);
+            difference.to_cols_array()[n].abs() < 1e-12
+        }));
     }
 
     #[test]

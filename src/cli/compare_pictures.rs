@@ -1,0 +1,103 @@
+//! Pictures that `compare` is given beside the acquired frame: the simulated one, and what is left out of both.
+
+use std::path::Path;
+
+use super::compare::CompareCommandError;
+use crate::foreign::read_small;
+use crate::geometry::ConsoleGeometry;
+use crate::image::{Image, beside, read_tiff_f32};
+
+/// What `render` wrote about an image; null where there is nothing.
+pub(super) fn described(path: &Path) -> serde_json::Value {
+    let bytes = read_small(&beside(path, "json")).ok();
+    bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+}
+
+/// The simulated line integral; what has no logarithm is NaN.
+pub(super) fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, CompareCommandError> {
+    let described = described(path)["quantity"].as_str().map(str::to_owned);
+    if let (Some(declared), Some(found)) = (quantity, described.clone())
+        && declared != found
+    {
+        return Err(CompareCommandError::OtherQuantity { path: path.to_owned(), declared: declared.to_owned(), found });
+    }
+    let found = quantity.map(str::to_owned).or(described).unwrap_or_else(|| "not known".into());
+    let mut pages = read_tiff_f32(path)?;
+    let image = match (pages.len(), pages.pop()) {
+        (1, Some(image)) => image,
+        (found, _) => return Err(CompareCommandError::Pages { path: path.to_owned(), found }),
+    };
+    match found.as_str() {
+        "line_integral" => Ok(image),
+        "intensity" => Ok(image.map(|&i| if i > 0.0 { -i.ln() } else { f32::NAN })),
+        _ => Err(CompareCommandError::Quantity { path: path.to_owned(), found }),
+    }
+}
+
+/// What `render` writes beside an image where some pixels are invalid, or show a guess: 1 where the picture is white.
+pub(super) fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    Ok(Some(read_mask(path)?.map(|valid| u8::from(*valid))))
+}
+
+/// True where a pixel is not zero.
+pub(super) fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
+    let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
+    let bytes = read_small(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
+    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
+    Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
+}
+
+/// A mask drawn over the acquired frame as its file stores it, `stored_px` columns and rows, put in the order in which the frame is compared,
+/// and what was done to it. One of another size is taken as it is.
+pub(super) fn mask_as_compared(
+    mask: Image<bool>,
+    stored_px: [usize; 2],
+    unmirrored: bool,
+    console: Option<&ConsoleGeometry>,
+) -> (Image<bool>, Option<String>) {
+    if [mask.width, mask.height] != stored_px {
+        return (mask, None);
+    }
+    let before = mask.clone();
+    let mut mask = mask;
+    if unmirrored {
+        let width = mask.width;
+        mask.pixels.chunks_exact_mut(width).for_each(<[bool]>::reverse);
+    }
+    if let Some(console) = console {
+        mask = console.orient(&mask, unmirrored);
+    }
+    let moved = mask != before;
+    (mask, moved.then(|| "the mask was turned as the frame was: it is taken as drawn over the frame as it is stored".to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Flip;
+
+    #[test]
+    fn a_mask_goes_with_the_frame_that_it_was_drawn_over() {
+        let mut drawn = Image::filled(6, 4, false);
+        *drawn.at_mut(1, 0) = true;
+        let (as_it_is, words) = mask_as_compared(drawn.clone(), [6, 4], false, None);
+        assert!(as_it_is == drawn && words.is_none());
+        let (mirrored, words) = mask_as_compared(drawn.clone(), [6, 4], true, None);
+        assert!(*mirrored.at(4, 0) && !*mirrored.at(1, 0) && words.is_some());
+        // The console says the same of the columns as the file: that is undone once.
+        let flipped = ConsoleGeometry { flip: Flip::Horizontal, ..ConsoleGeometry::default() };
+        let (once, _) = mask_as_compared(drawn.clone(), [6, 4], true, Some(&flipped));
+        assert!(*once.at(4, 0));
+        let about = ConsoleGeometry { rotation_deg: 180.0, ..ConsoleGeometry::default() };
+        let (turned, words) = mask_as_compared(drawn.clone(), [6, 4], false, Some(&about));
+        assert!(*turned.at(4, 3) && words.is_some());
+        // Of the simulated image's size.
+        let (other, words) = mask_as_compared(drawn.clone(), [12, 8], true, Some(&about));
+        assert!(other == drawn && words.is_none());
+    }
+}

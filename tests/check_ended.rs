@@ -1,0 +1,56 @@
+//! `sidecarm check` that ends before its checks have: nothing of it is left.
+#![cfg(all(unix, feature = "vision"))]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use crate::live_lab::{HANG_S, Running, Signal, eventually};
+
+/// The check of a session whose video does not come, as from a pipe that nobody opens, and the folder of its temporary files.
+fn hanging(folder: &Path, limit_s: &str) -> (Command, PathBuf) {
+    let (pipe, temporary) = (folder.join("monitor.y4m"), folder.join("temporary"));
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    for path in [&folder.join("frames"), &temporary] {
+        std::fs::create_dir(path).expect("a folder");
+    }
+    std::fs::write(folder.join("scene.json"), "{}").expect("written");
+    let session = serde_json::json!({"frames": {"folder": "frames", "video": {"from": pipe}}, "scene": "scene.json"});
+    std::fs::write(folder.join("session.json"), session.to_string()).expect("written");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    command.arg("check").arg(folder.join("session.json")).args(["--limit", limit_s]).env("TMPDIR", &temporary);
+    (command, temporary)
+}
+
+fn listed(folder: &Path) -> Vec<PathBuf> {
+    std::fs::read_dir(folder).expect("listed").flatten().map(|entry| entry.path()).collect()
+}
+
+/// The temporary folder of the check that was still at work was left.
+#[test]
+fn a_check_that_gives_up_leaves_no_temporary_files() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut command, temporary) = hanging(folder.path(), "1.5");
+    let ran = command.output().expect("runs");
+    let said = String::from_utf8_lossy(&ran.stdout);
+    assert!(said.contains("pass  session file"), "{said}");
+    assert!(said.contains("not all checks were done within 1.5 s"), "{said} {}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
+}
+
+/// Ctrl-C killed it where it was, and its temporary folder was left.
+#[test]
+fn ctrl_c_ends_a_check_with_what_it_found_and_without_temporary_files() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut command, temporary) = hanging(folder.path(), "1000");
+    let mut check = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts"));
+    let at_work = eventually(HANG_S, || listed(&temporary).iter().any(|own| !listed(own).is_empty()).then_some(()));
+    assert!(at_work.is_some(), "no check wanted a temporary folder");
+    check.signal(Signal::INT);
+    let status = check.end(HANG_S).expect("it goes on");
+    let mut said = String::new();
+    let mut out = check.0.stdout.take().expect("a pipe");
+    std::io::Read::read_to_string(&mut out, &mut said).expect("text");
+    assert_eq!(status.code(), Some(1), "{said}");
+    assert!(said.contains("pass  session file") && said.contains("ended before all checks were done"), "{said}");
+    assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
+}

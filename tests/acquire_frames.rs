@@ -266,7 +266,8 @@ fn tiff_and_png_take_their_meaning_from_the_sidecar_or_the_user() {
         assert_eq!(frame.tags.pitch_mm, Some([0.2, 0.2]));
     }
     // By the names that `render` and others write.
-    for (named, unit) in [("1 (unattenuated signal)", Some("1")), ("1", Some("1")), ("nepers", Some("neper")), ("furlongs", None)] {
+    for (named, unit) in [("1 (unattenuated signal)", Some("1")), ("1", Some("1")), ("nepers", Some("neper")), ("furlongs", None)]
+    {
         let sidecar = serde_json::json!({"quantity": "intensity", "unit": named});
         std::fs::write(folder.path().join("image.tif.json"), sidecar.to_string()).expect("sidecar");
         assert_eq!(read_frame(&path, None).expect("readable").unit.as_deref(), unit, "{named}");

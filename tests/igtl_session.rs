@@ -139,7 +139,10 @@ fn a_session_tells_its_poses_pictures_and_lines() {
     assert!(tips.len() > 50 && bases.len() >= tips.len(), "{} {}", bases.len(), tips.len());
     // The robot tells its shape a hundred times a second.
     let spans_us = tips.windows(4).map(|four| four[3].time_us() - four[0].time_us());
-    assert!(spans_us.filter(|span_us| *span_us > 0).min().is_some_and(|least_us| least_us < 45_000), "no four places of the tip in a row");
+    assert!(
+        spans_us.filter(|span_us| *span_us > 0).min().is_some_and(|least_us| least_us < 45_000),
+        "no four places of the tip in a row"
+    );
     let (base, tip) = (place(&bases[0].matrix()), place(&tips[0].matrix()));
     assert!((20.0..60.0).contains(&apart_mm(base, tip)), "{base:?} {tip:?}");
     assert_eq!(std::array::from_fn(|k| points[0].float32(4 * k)), tip);

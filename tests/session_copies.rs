@@ -89,7 +89,8 @@ fn exported_until(lab: &Lab, live: &mut Live, count: usize, mut export: impl FnM
 
 /// Exports something and waits until it is read.
 fn until_read(live: &Live, export: impl FnOnce()) {
-    let in_log = || read_log(&live.log).map_or(0, |log| log.entries.iter().filter(|entry| &*entry.topic == topic::FRAME_TAGS).count());
+    let in_log =
+        || read_log(&live.log).map_or(0, |log| log.entries.iter().filter(|entry| &*entry.topic == topic::FRAME_TAGS).count());
     let before = in_log();
     export();
     assert!(eventually(HANG_S, || (in_log() > before).then_some(())).is_some(), "it is never read: {}", live.stderr());

@@ -69,7 +69,8 @@ impl Beside {
             _ => (Domain::Unknown, "that is not known here"),
         };
         let named = json.get("unit").and_then(serde_json::Value::as_str);
-        let unit = named.and_then(|named| UNITS.iter().find(|(_, names)| names.contains(&named))).map(|(unit, _)| (*unit).to_owned());
+        let unit =
+            named.and_then(|named| UNITS.iter().find(|(_, names)| names.contains(&named))).map(|(unit, _)| (*unit).to_owned());
         let pitch = ["/pitch_mm", "/detector/pitch_mm", "/view/pitch_mm"].iter().find_map(|at| json.pointer(at)?.as_f64());
         let pitch_mm = pitch.filter(|pitch| *pitch > 0.0).map(|pitch| [pitch, pitch]);
         Self { domain, unit, pitch_mm, evidence: vec![format!("the sidecar .json says quantity {shown}")] }

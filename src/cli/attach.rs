@@ -1,6 +1,5 @@
 //! `sidecarm attach`: frames exported after a session, tied to the exposures in its log.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use crate::image::{ImageFileError, write_atomically};

@@ -1,6 +1,6 @@
 //! `sidecarm compare`: one acquired frame, one simulated image, honest numbers.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -17,9 +17,7 @@ use crate::compare::{
 };
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
-use crate::image::{
-    Image, ImageFileError, beside, refuse_overwrite, sha256_file, write_atomically, write_png_rgb,
-};
+use crate::image::{Image, ImageFileError, beside, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
 use crate::report::{PairMarks, Standing, StripInput, score_words, strip};

@@ -18,17 +18,16 @@ use crate::pose::Pose;
 use crate::record::LogReader;
 use crate::reporter::Reporter;
 
+/// Takes a frame with its number, and what its import had to say of it.
+type TakeFrame<'a> = dyn FnMut(u32, Arc<Frame>, &[String]) + 'a;
+
 /// Gives the frames of `log` whose number is `wanted` to `take`, each once, in the order in which they were registered, with what the import had
 /// to say of it. A frame that was posed again, because its exposure became clear late, comes last and as it was then. Returns what of the log
 /// could not be read; frames of which no picture is in the log do not come.
 ///
 /// # Errors
 /// When the file cannot be read, is no log, or holds no session.
-pub fn logged_frames(
-    log: &Path,
-    wanted: &dyn Fn(u32) -> bool,
-    take: &mut dyn FnMut(u32, Arc<Frame>, &[String]),
-) -> Result<Vec<String>, SessionError> {
+pub fn logged_frames(log: &Path, wanted: &dyn Fn(u32) -> bool, take: &mut TakeFrame) -> Result<Vec<String>, SessionError> {
     let no_session = || SessionError::NoSession { path: log.display().to_string(), detail: "no session setup".to_owned() };
     let mut recorded = Recorded::read(log)?;
     let setup = Arc::new(recorded.setup.take().ok_or_else(no_session)?);
@@ -64,7 +63,7 @@ struct Retaken<'a> {
     engine: Engine,
     recorded: &'a Recorded,
     wanted: &'a dyn Fn(u32) -> bool,
-    take: &'a mut dyn FnMut(u32, Arc<Frame>, &[String]),
+    take: &'a mut TakeFrame<'a>,
     /// The inputs of the session, or of this part of it, came to their end.
     has_end: bool,
     /// Frames that were posed again, as they were last.

@@ -223,7 +223,7 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
 fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
     const FRAMES: usize = 4;
     let frames = FRAMES.to_string();
-    let Some((lab, exported, mut live)) = exporting(&["--duration-s", "12", "--exposures", &frames]) else { return };
+    let Some((lab, exported, mut live)) = exporting(&["--duration-s", "56", "--exposures", &frames]) else { return };
     let code = exported_until(&lab, &mut live, 2 * FRAMES + 1, |live, count, path| {
         until_read(live, || export(path, &exported.join(format!("preview-{count}.dcm")), &format!("2.25.77{count}"), &TIMES));
         until_read(live, || export_as_it_is(path, &exported));

@@ -194,3 +194,39 @@ fn late_and_repeated_samples_keep_their_segment() {
     assert_eq!(placed[8..10], [Placed::Late(0), Placed::Late(0)]);
     assert_eq!(placed[11], Placed::InOrder(0));
 }
+
+/// A device that halts with its clock, its sequence going on: every time after it was too early by as much, and said to be good to a millisecond.
+#[test]
+fn a_clock_that_stood_still_is_uncertain_by_that_and_then_mapped_anew() {
+    let even = stamps(14, 50.0, 60.0, 100.0, 1_000.0);
+    for stood_us in [600_000i64, 2_500_000] {
+        let halted: Vec<(i64, i64)> =
+            even.iter().enumerate().map(|(i, (d, h, _))| (*d, h + if i >= 2_000 { stood_us } else { 0 })).collect();
+        let (clock, placed) = run(&halted);
+        assert_eq!(clock.steps_and_resets(), (1, 0), "{stood_us}");
+        let segment = clock.latest().expect("segments");
+        assert!((segment.step_us + stood_us).abs() < 20_000, "{} for {stood_us}", segment.step_us);
+        let anew = placed.iter().position(|placed| *placed == Placed::InOrder(1)).expect("mapped anew");
+        assert!((2_400..2_800).contains(&anew), "after {anew} samples");
+        for (i, (_, _, truth)) in even.iter().enumerate().filter(|(i, _)| !(1_900..2_000).contains(i)) {
+            let truth = truth + if i >= 2_000 { stood_us } else { 0 };
+            let map = &clock.segment(if i < anew { 0 } else { 1 }).expect("kept").map;
+            let (error_us, sigma_us) = (map.host_from_device_us(halted[i].0) - truth, map.uncertainty_us(halted[i].0));
+            assert!(
+                error_us.abs() as f64 <= 1.1 * sigma_us + 1_000.0,
+                "{stood_us}, sample {i}: off by {error_us}, said {sigma_us}"
+            );
+            assert!((2_000..anew).contains(&i) || sigma_us < 5_000.0, "{stood_us}, sample {i}: said {sigma_us}");
+        }
+    }
+    // What waits somewhere is worked off, however slowly: one tenth faster than it is sent, here.
+    let waited: Vec<(i64, i64)> = even
+        .iter()
+        .enumerate()
+        .map(|(i, (d, h, _))| (*d, h + if i >= 2_000 { (2_500_000 - 1_000 * (i as i64 - 2_000)).max(0) } else { 0 }))
+        .collect();
+    let (clock, _) = run(&waited);
+    assert_eq!(clock.steps_and_resets(), (0, 0));
+    let (error_us, map) = (|i: usize| clock.latest().map(|s| s.map.host_from_device_us(even[i].0) - even[i].2), clock.latest());
+    assert!([2_100, 3_000, 5_900].into_iter().all(|i| error_us(i).is_some_and(|us| us.abs() < 1_000)) && map.is_some());
+}

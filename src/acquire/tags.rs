@@ -179,6 +179,14 @@ impl FrameTags {
         self.exposure_counter.is_some() || self.acquired_time.is_some()
     }
 
+    /// Whether both say when they were acquired, finer than in whole seconds, in which there may be two exposures, and the same, with the same
+    /// numbers.
+    #[must_use]
+    pub fn names_same_exposure(&self, other: &Self) -> bool {
+        let said = |tags: &Self| (tags.acquired_local_us(), tags.exposure_counter, tags.instance_number, tags.study.clone());
+        self.acquired_local_us().is_some_and(|us| us % 1_000_000 != 0) && said(self) == said(other)
+    }
+
     /// When the frame was acquired by the console's clock, microseconds since the Unix epoch; `None` unless the file gives date, time and
     /// time zone. The clock itself may be wrong by any amount.
     #[must_use]

@@ -12,7 +12,7 @@ use super::busy::{Busy, Task};
 use super::fault;
 use super::input::Input;
 use super::log::SessionLog;
-use crate::acquire::{Arrival, Frame, FrameSource, Reading, Sighting, Trouble};
+use crate::acquire::{Arrival, Frame, FrameSource, FrameTags, Reading, Sighting, Trouble};
 use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::time::{Stopwatch, host_now_us};
@@ -65,7 +65,7 @@ pub(super) struct FrameIntake {
     held: Vec<Weak<Frame>>,
     numbered: u32,
     /// Of each content the number of its first image.
-    numbers_of: HashMap<String, Vec<u32>>,
+    numbers_of: HashMap<String, (Vec<u32>, FrameTags)>,
 }
 
 impl FrameIntake {
@@ -229,25 +229,36 @@ impl FrameIntake {
         mended.into_iter().flatten().for_each(|trouble| self.take_back(&trouble));
         match reading {
             Some(Reading::Frames { frames, earlier }) => {
-                let before =
-                    earlier.and_then(|earlier| Some((self.numbers_of.get(&earlier.sha256)?.clone(), earlier.was_unfinished)));
-                if let Some((numbers, was_unfinished)) = &before {
+                let before = earlier.and_then(|earlier| Some((self.numbers_of.get(&earlier.sha256)?, earlier.was_unfinished)));
+                // A picture that is written anew with all that it says of its exposure is that one's, whatever was read of it before.
+                let replaced = before.map(|((numbers, tags), was_unfinished)| {
+                    let is_same = frames.first().is_some_and(|frame| frame.tags.names_same_exposure(tags));
+                    (numbers.clone(), was_unfinished, was_unfinished || is_same)
+                });
+                if let Some((numbers, was_unfinished, is_replaced)) = &replaced {
                     let was = numbers.first().copied().unwrap_or_default();
-                    let (kind, words) = match was_unfinished {
-                        true => (
+                    let (kind, words) = match (was_unfinished, is_replaced) {
+                        (true, _) => (
                             "frame delivered unfinished",
                             format!(
                                 "frame {number}: frame {was} was the same file before it was written to its end, and is replaced; let the console write under another name and rename"
                             ),
                         ),
-                        false => (
+                        (false, true) => (
+                            "frame rewritten",
+                            format!(
+                                "frame {number}: the file of frame {was} was rewritten with a picture of the same exposure, which replaces it; let the console write under another name and rename"
+                            ),
+                        ),
+                        (false, false) => (
                             "frame rewritten",
                             format!("frame {number}: its file was rewritten; an earlier version of it was frame {was}"),
                         ),
                     };
                     self.say(kind, &words);
                 }
-                let unfinished = before.filter(|(_, was_unfinished)| *was_unfinished).map(|(numbers, _)| numbers);
+                let unfinished = replaced.filter(|(.., is_replaced)| *is_replaced).map(|(numbers, ..)| numbers);
+                let tags = frames.first().map(|frame| frame.tags.clone()).unwrap_or_default();
                 let sha256 = frames.first().map(|frame| frame.sha256.clone()).unwrap_or_default();
                 let mut numbers = Vec::with_capacity(frames.len());
                 for (image, frame) in frames.into_iter().enumerate() {
@@ -265,7 +276,7 @@ impl FrameIntake {
                     self.board.update(|state| state.frames_seen += 1);
                     self.log.input(Input::Frame { frame, host_us });
                 }
-                self.numbers_of.entry(sha256).or_insert(numbers);
+                self.numbers_of.entry(sha256).or_insert((numbers, tags));
             }
             Some(Reading::Refused(error)) => self.refuse(number, &format!("unreadable frame {error}")),
             // The source offers it again, or reports it.

@@ -120,8 +120,15 @@ pub(super) fn of_no_exposure(all_shown: bool, untied: Untied) -> Option<String> 
     })
 }
 
-/// That `unbound` frames could not be tied to one of `exposures`, and no more (`bound`) could; `None` where most could.
-pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Option<String> {
+/// That `unbound` frames could not be tied to one of `exposures`, and no more (`bound`) could; `None` where most could. `heard`: the C-arm was, and
+/// it says when the beam is on.
+pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize, heard: bool) -> Option<String> {
+    if exposures == 0 && unbound > 0 && heard {
+        return Some(format!(
+            "{unbound} frames came, and the C-arm's telemetry told of no exposure: their pairs have no joints, robot or beam of telemetry; check \
+             its X-ray flag and exposure counter"
+        ));
+    }
     if exposures > 0 && unbound == 0 && bound == 0 {
         return Some(format!(
             "telemetry tells of {exposures} exposures, and no frame came: check that the console writes into the session's frame folder"
@@ -207,11 +214,12 @@ mod tests {
 
     #[test]
     fn a_session_that_ties_no_more_frames_than_it_leaves_has_lost_them() {
-        assert!(few_bound(8, 4, 4).is_some_and(|words| words.contains("4 of 8 frames")));
-        assert!(few_bound(8, 0, 0).is_some_and(|words| words.contains("no frame came")));
-        assert!(few_bound(8, 3, 0).is_some_and(|words| words.contains("not one of 3")));
+        assert!(few_bound(8, 4, 4, true).is_some_and(|words| words.contains("4 of 8 frames")));
+        assert!(few_bound(8, 0, 0, true).is_some_and(|words| words.contains("no frame came")));
+        assert!(few_bound(8, 3, 0, true).is_some_and(|words| words.contains("not one of 3")));
+        assert!(few_bound(0, 3, 0, true).is_some_and(|words| words.contains("told of no exposure")));
         for (exposures, unbound, bound) in [(8, 3, 5), (0, 3, 0), (0, 0, 0), (8, 0, 8)] {
-            assert_eq!(few_bound(exposures, unbound, bound), None);
+            assert_eq!(few_bound(exposures, unbound, bound, exposures > 0), None);
         }
     }
 }

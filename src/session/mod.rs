@@ -121,6 +121,12 @@ pub enum SessionError {
         /// What is wrong.
         detail: String,
     },
+    /// What is written would be taken for frames.
+    #[error("{detail}; choose another --out")]
+    AmongFrames {
+        /// Which folder, and what it is.
+        detail: String,
+    },
     /// The log.
     #[error(transparent)]
     Record(#[from] crate::record::RecordError),

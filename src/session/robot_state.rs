@@ -154,16 +154,32 @@ impl BoundRobot {
     }
 }
 
-/// Whether the robot stood as it did at `mid_us` in all the time in which the frame may have been taken, where nobody knows when it was.
+/// Whether the robot stood as it did at `mid_us` in all the time in which the frame may have been taken, where nobody knows when it was: an
+/// exposure that telemetry missed, or whose begin or end it missed, or a clock that may have stood still.
 fn stood_still(timeline: &Timeline, mid_us: i64, binding: &Binding) -> bool {
     let unseen = binding.flags.iter().find_map(|flag| match flag {
-        BindingFlag::Unseen { within_us } if *within_us > MAX_GAP_US => Some(*within_us),
+        BindingFlag::Unseen { within_us } => Some(*within_us / 2),
         _ => None,
     });
-    unseen.is_none_or(|within_us| {
-        let travel_deg = timeline.robot_travel_deg(mid_us.saturating_sub(within_us / 2), mid_us.saturating_add(within_us / 2));
-        travel_deg.is_some_and(|travel_deg| travel_deg.into_iter().all(|deg| deg <= BENT_DEG))
-    })
+    let (mut from_us, mut to_us) =
+        unseen.map_or((mid_us, mid_us), |half_us| (mid_us.saturating_sub(half_us), mid_us.saturating_add(half_us)));
+    if let Some(exposure) = &binding.exposure {
+        let [begin_us, end_us] = [exposure.start_uncertainty_us, exposure.end_uncertainty_us].map(|sigma_us| sigma_us as i64);
+        if begin_us.max(end_us) > MAX_GAP_US / 2 {
+            from_us = from_us.min(exposure.start_us.saturating_sub(begin_us));
+            to_us = to_us.max(exposure.end_us.saturating_add(end_us));
+        }
+    }
+    let clock_us = timeline.robot_at(mid_us).map_or(0, |answer| answer.uncertainty_us as i64);
+    if clock_us > MAX_GAP_US / 2 {
+        from_us = from_us.saturating_sub(clock_us);
+        to_us = to_us.saturating_add(clock_us);
+    }
+    if to_us.saturating_sub(from_us) <= MAX_GAP_US {
+        return true;
+    }
+    let travel_deg = timeline.robot_travel_deg(from_us, to_us);
+    travel_deg.is_some_and(|travel_deg| travel_deg.into_iter().all(|deg| deg <= BENT_DEG))
 }
 
 fn live(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {

@@ -36,7 +36,7 @@ pub use device::{DEFAULT_BAUD, DeviceKind};
 pub use event::{DecodeFault, Event};
 pub use health::Health;
 pub use line_fault::LineFault;
-pub use lines::LineAdapter;
+pub use lines::{LineAdapter, NO_EXPOSURES};
 pub use link::{Link, Received, STALE_SILENCE_US};
 pub use outlet::PortEvent;
 pub use packet::{carm_packet, robot_packet};

@@ -19,6 +19,13 @@ const BUCKET_US: i64 = 1_000_000;
 const BUCKETS: usize = 600;
 /// What one-way stamps cannot show: transmission (1.1 ms for 104 bytes at 921 600 baud) and the driver's shortest hand-over.
 pub const LEAST_DELAY_US: f64 = 1_000.0;
+/// Arrivals that are all later than before by more than this …
+const STANDS_US: f64 = 250_000.0;
+/// … and by the same, but for this much and this share of it …
+const STANDS_WITHIN_US: f64 = 50_000.0;
+const STANDS_WITHIN_SHARE: f64 = 0.05;
+/// … for so much device time are no backlog: one is worked off. The clock stood still meanwhile.
+const STANDS_FOR_US: f64 = 5_000_000.0;
 /// Below this the scatter of the fastest arrivals is not believed.
 const LEAST_SCATTER_US: f64 = 20.0;
 
@@ -39,9 +46,12 @@ struct Line {
     centre_us: f64,
     /// Median height of the kept points above the line.
     scatter_us: f64,
-    /// How far even the fastest of the latest arrivals lie above the line, and from when on.
+    /// How far even the fastest of the latest arrivals lie above the line, and since when they have: the clock may have stood still for so
+    /// long, or all may have been held up.
     excess_us: f64,
     excess_from_us: f64,
+    /// The excess lasts, and does not change.
+    stands: bool,
 }
 
 /// Maps the time of one device, between two of its clock's steps, to host time.
@@ -86,6 +96,7 @@ impl ClockMap {
             scatter_us: 0.0,
             excess_us: 0.0,
             excess_from_us: f64::INFINITY,
+            stands: false,
         };
         let mut map = Self {
             reference_device_us: device_us,
@@ -165,6 +176,12 @@ impl ClockMap {
         host_us.saturating_sub(self.host_from_device_us(device_us)) as f64
     }
 
+    /// By how much the clock stood still, where all that comes has been later by that for longer than any backlog lasts.
+    #[must_use]
+    pub fn stood_still_us(&self) -> Option<f64> {
+        (self.host_sigma_us.is_none() && self.line.stands).then_some(self.line.excess_us)
+    }
+
     /// The slope and how well it is known.
     #[must_use]
     pub fn drift(&self) -> (f64, f64) {
@@ -207,15 +224,24 @@ impl ClockMap {
         let drift_sigma = (1.0 / (1.0 / self.prior_sigma.powi(2) + 1.0 / hull_variance)).sqrt();
         let offset_us = points.iter().map(|p| p.r_us - drift * p.x_us).fold(f64::INFINITY, f64::min);
         let line = |p: &Point| offset_us + drift * p.x_us;
-        let latest = &points[points.len().saturating_sub(2)..];
+        let excess = |p: &Point| p.r_us - line(p);
+        let excess_us = points[points.len().saturating_sub(2)..].iter().map(excess).fold(f64::INFINITY, f64::min);
+        let begun = points.iter().rposition(|p| !(excess(p) > 0.5 * excess_us)).map_or(0, |before| before + 1);
+        let late = &points[begun.min(points.len() - 1)..];
+        // The first bucket may hold a part of what came before.
+        let of_all = late.iter().skip(1).map(excess).fold([f64::INFINITY, 0.0f64], |[low, high], e| [low.min(e), high.max(e)]);
+        let lasts = late[late.len() - 1].x_us - late[0].x_us >= STANDS_FOR_US;
+        let stands =
+            excess_us >= STANDS_US && lasts && of_all[1] - of_all[0] <= STANDS_WITHIN_US.max(STANDS_WITHIN_SHARE * excess_us);
         Line {
             offset_us,
             drift,
             drift_sigma,
             centre_us: 0.5 * (left.x_us + right.x_us),
             scatter_us,
-            excess_us: latest.iter().map(|p| p.r_us - line(p)).fold(f64::INFINITY, f64::min),
-            excess_from_us: latest[0].x_us,
+            excess_us,
+            excess_from_us: late[0].x_us.min(points[points.len().saturating_sub(2)].x_us),
+            stands,
         }
     }
 }

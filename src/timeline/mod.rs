@@ -84,8 +84,10 @@ pub struct TrackSummary {
     pub samples: usize,
     /// Samples forgotten to bound memory.
     pub dropped: u64,
-    /// Samples whose device time is none.
+    /// Samples whose time is not known: late ones from before a step of the clock, and those whose device time is none.
     pub unusable: u64,
+    /// Samples whose device time is none.
+    pub no_time: u64,
     /// Samples that came after later ones.
     pub late: u64,
     /// Steps of the device's clock.
@@ -418,8 +420,8 @@ fn summary<T>(device: DeviceKind, track: &Track<T>) -> TrackSummary {
     let (clock_steps, resets) = track.clock().steps_and_resets();
     let segments = track.clock().summaries();
     let host_time_sigma_us = track.clock().host_sigma_us();
-    let samples = track.entries().len();
-    TrackSummary { device, samples, dropped, unusable, late, clock_steps, resets, host_time_sigma_us, segments }
+    let (samples, no_time) = (track.entries().len(), track.no_time());
+    TrackSummary { device, samples, dropped, unusable, no_time, late, clock_steps, resets, host_time_sigma_us, segments }
 }
 
 /// Linear between two numbers; an end that is met exactly does not see the other one.

@@ -28,7 +28,7 @@ pub enum SegmentStart {
     First,
     /// The port was opened again.
     Epoch,
-    /// The device's clock jumped while its sequence went on.
+    /// The device's clock jumped, or stood still for a while, and its sequence went on.
     Step,
     /// The device started over: its sequence did.
     Reset,
@@ -177,7 +177,14 @@ impl DeviceClock {
         self.last = Some(now);
         let Some(segment) = self.segments.back_mut() else { return self.begin(now, SegmentStart::First, 0) };
         segment.push(device_us, host_us);
-        Placed::InOrder(segment.id)
+        let placed = Placed::InOrder(segment.id);
+        match segment.map.stood_still_us() {
+            Some(stood_us) => {
+                self.steps += 1;
+                self.begin(now, SegmentStart::Step, -(stood_us as i64))
+            }
+            None => placed,
+        }
     }
 
     /// Notes a message that measures nothing (metadata) but has a sequence number.

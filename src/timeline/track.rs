@@ -124,11 +124,15 @@ pub struct Track<T> {
     retention: Retention,
     dropped: u64,
     unusable: u64,
+    no_time: u64,
     late: u64,
+    /// What device times are counted from.
+    origin_us: Option<u64>,
     last_host_us: Option<i64>,
 }
 
-/// Times beyond this (285 years) are no times. Smaller ones are exact in an `f64`, and sums of a few of them fit.
+/// Times beyond this (285 years), the device's from that of its first sample, are no times. Smaller ones are exact in an `f64`, and sums of a few
+/// of them fit.
 const LARGEST_US: u64 = 1 << 53;
 
 impl<T> Track<T> {
@@ -141,7 +145,9 @@ impl<T> Track<T> {
             retention,
             dropped: 0,
             unusable: 0,
+            no_time: 0,
             late: 0,
+            origin_us: None,
             last_host_us: None,
         }
     }
@@ -173,11 +179,15 @@ impl<T> Track<T> {
         if sequenced == Sequenced::Duplicate {
             return None;
         }
-        if device_us >= LARGEST_US || host_us.unsigned_abs() >= LARGEST_US {
+        let device_us = self.counted_from_origin(
+            device_us,
+            sequenced == Sequenced::Reset || self.entries.back().is_some_and(|e| e.epoch != epoch),
+        );
+        if device_us.unsigned_abs() >= LARGEST_US || host_us.unsigned_abs() >= LARGEST_US {
             self.unusable += 1;
+            self.no_time += 1;
             return None;
         }
-        let device_us = device_us as i64;
         self.last_host_us = Some(self.last_host_us.map_or(host_us, |last| last.max(host_us)));
         let placed = self.clock.observe(epoch, sequenced, sequence, device_us, host_us);
         let (segment, in_order) = match placed {
@@ -198,6 +208,19 @@ impl<T> Track<T> {
         }
         self.prune(host_us);
         Some((self.stamps_of(segment, epoch, device_us, host_us)?, in_order))
+    }
+
+    /// Device time from where it is counted: of usual epochs it stays as it is, one that runs over goes on. A device that `began` anew may do so
+    /// in another epoch.
+    fn counted_from_origin(&mut self, device_us: u64, began: bool) -> i64 {
+        let own_us = if device_us < LARGEST_US / 2 { 0 } else { device_us };
+        let origin_us = *self.origin_us.get_or_insert(own_us);
+        let from = |origin_us: u64| device_us.wrapping_sub(origin_us).cast_signed();
+        if from(origin_us).unsigned_abs() >= LARGEST_US && (began || origin_us > 0) {
+            self.origin_us = Some(own_us);
+            return from(own_us);
+        }
+        from(origin_us)
     }
 
     /// The samples around `host_us`; `None` before the first one.
@@ -303,6 +326,12 @@ impl<T> Track<T> {
     #[must_use]
     pub fn dropped_unusable_late(&self) -> (u64, u64, u64) {
         (self.dropped, self.unusable, self.late)
+    }
+
+    /// Samples whose device time is none.
+    #[must_use]
+    pub fn no_time(&self) -> u64 {
+        self.no_time
     }
 
     /// The times of a sample, as they are known by now.

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::finding::Finding;
+use super::finding::{Finding, Level};
 use crate::time::Stopwatch;
 
 const CHECK: &str = "disk";
@@ -29,6 +29,14 @@ pub fn check_disk(out: &Path, frames: &Path) -> Vec<Finding> {
         return vec![Finding::fail(CHECK, detail, "choose another --out")];
     };
     vec![among_frames(out, &folder, frames), writing(out, &folder), space(free_bytes(&folder), &folder)]
+}
+
+/// What is to be said where the session would take what it writes for frames, or frames for what it writes.
+#[must_use]
+pub fn refuse_among_frames(out: &Path, frames: &Path) -> Option<String> {
+    let folder = nearest_folder(out)?;
+    let Finding { level, detail, .. } = among_frames(out, &folder, frames);
+    (level == Level::Fail).then_some(detail)
 }
 
 /// Whether the session would write into the folder in which it looks for frames; `folder` is the part of `out` that exists.

@@ -24,8 +24,8 @@ mod video;
 use glam::DVec3;
 
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
-pub use disk::check_disk;
 pub(super) use disk::free_bytes;
+pub use disk::{check_disk, refuse_among_frames};
 pub use drift::DriftWatch;
 pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};

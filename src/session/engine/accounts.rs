@@ -2,7 +2,7 @@
 
 use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::Engine;
-use crate::telemetry::DeviceKind;
+use crate::telemetry::{DeviceKind, NO_EXPOSURES};
 use crate::timeline::BindingFlag;
 
 impl Engine {
@@ -10,7 +10,11 @@ impl Engine {
     #[must_use]
     pub fn line_losses(&self) -> Vec<String> {
         let packets = self.links.values().filter_map(line_losses);
-        packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+        let no_time = self.timeline.summaries().into_iter().filter(|track| track.no_time > 0).map(|track| {
+            let (device, count) = (track.device, track.no_time);
+            format!("{device}: {count} packets whose device time is none, 285 years and more from that of the first")
+        });
+        packets.chain(no_time).chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
     }
 
     /// Whether frames are expected to give poses by beads or tags.
@@ -37,7 +41,9 @@ impl Engine {
         let (exposures, untied) = (self.timeline.exposures(), self.untied());
         // Where each exposure has its frame, nothing is lost with a second picture of it.
         let second = if all_shown(&exposures, &self.shown) { untied.second } else { 0 };
-        few_bound(exposures.len(), untied.all() - second, self.tied.len())
+        let tells_of_none = self.setup.adapters.unknowns().iter().any(|(kind, _)| *kind == NO_EXPOSURES);
+        let heard = self.timeline.carm().newest().is_some() && !tells_of_none;
+        few_bound(exposures.len(), untied.all() - second, self.tied.len(), heard)
     }
 
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.

@@ -22,6 +22,7 @@ use super::board::Board;
 use super::broadcast::Broadcast;
 use super::busy::{AtWork, Busy, LATE_AFTER, Task};
 use super::chime::Chime;
+use super::crosscheck::refuse_among_frames;
 use super::develop::solved;
 use super::edit::{BeadEdit, EditRequest, take_note};
 use super::editor::Editor;
@@ -91,9 +92,14 @@ pub fn run(
     // Before anything that takes time: what arrives meanwhile is the session's.
     let heard_from_us = host_now_us();
     let (of_frames, include_existing, told) = (Arc::clone(&setup), options.include_existing, reporter.clone());
+    let out = options.out.clone();
     let folder_late = || reporter.warn(Task::Folder.kind(), Task::Folder.words(LATE_AFTER));
-    let source =
-        unless_stopped(&options.stop, "frame folder", folder_late, move || frame_source(&of_frames, include_existing, &told))??;
+    let source = unless_stopped(&options.stop, "frame folder", folder_late, move || {
+        match refuse_among_frames(&out, &of_frames.session.frames.folder) {
+            Some(detail) => Err(SessionError::AmongFrames { detail }),
+            None => frame_source(&of_frames, include_existing, &told),
+        }
+    })??;
     let ports = Ports::listen(&setup, board)?;
     let (of_scene, told) = (Arc::clone(&setup), reporter.clone());
     // What is heard meanwhile waits to be recorded.

@@ -13,6 +13,9 @@ use super::reading::{Cyclic, Texts};
 use super::sample::{CarmPlan, Plan, RobotPlan, Stamp};
 use super::split::{Columns, Names, Split, Splitter};
 
+/// Kind of what a C-arm leaves open that tells of no exposure, in [`LineAdapter::unknowns`].
+pub const NO_EXPOSURES: &str = "no exposures";
+
 /// Standard deviation of arrivals where the declaration says none: 100 characters at 115200 baud take 9 ms, and a USB adapter hands over
 /// every 16 ms.
 pub const HOST_TIME_SIGMA_MS: f64 = 20.0;
@@ -194,7 +197,7 @@ impl LineAdapter {
         }
         if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none() && carm.exposure_counter.is_none()) {
             let said = "the C-arm's lines say neither when X-ray is on nor how many exposures there were: no exposure is known, and no frame is tied to one";
-            words.push(("no exposures", said.to_owned()));
+            words.push((NO_EXPOSURES, said.to_owned()));
         }
         words
     }

@@ -11,7 +11,7 @@ mod reading;
 mod sample;
 mod split;
 
-pub use adapter::{HOST_TIME_SIGMA_MS, LineAdapter};
+pub use adapter::{HOST_TIME_SIGMA_MS, LineAdapter, NO_EXPOSURES};
 pub use blank::LineBlanker;
 pub use declaration::{
     BaseFields, CarmFields, CounterSource, CsvFormat, Declaration, Direction, FlagSource, Format, JsonFormat, RegexFormat,

@@ -156,16 +156,17 @@ fn a_session_tells_its_poses_pictures_and_lines() {
     let has = |device: &str, time_us: i64| of(device).iter().any(|told| told.time_us() == time_us);
     assert!(!has("LpsToCamera", line.time_us()) && !has("CameraToRas", line.time_us()));
     let mut pictures = 0;
-    for picture in of("Acquired") {
-        let accepted = poses[&picture.time_us()].1;
-        let size = [6, 8].map(|at| picture.uint16(at));
-        let (step_mm, z_mm) = (picture.float32(12), picture.float32(56));
-        assert_eq!(size, [620, 480]);
-        match accepted {
-            true => assert!((0.1..0.6).contains(&step_mm) && (800.0..1400.0).contains(&z_mm), "{step_mm} {z_mm}"),
-            false => assert_eq!((step_mm, z_mm), (1.0, 0.0)),
+    for (device, is_placed) in [("Acquired", true), ("AcquiredUnplaced", false)] {
+        for picture in of(device) {
+            let size = [6, 8].map(|at| picture.uint16(at));
+            let (step_mm, z_mm) = (picture.float32(12), picture.float32(56));
+            assert_eq!((size, poses[&picture.time_us()].1), ([620, 480], is_placed), "{device}");
+            match is_placed {
+                true => assert!((0.1..0.6).contains(&step_mm) && (800.0..1400.0).contains(&z_mm), "{step_mm} {z_mm}"),
+                false => assert_eq!((step_mm, z_mm), (1.0, 0.0)),
+            }
+            pictures += 1;
         }
-        pictures += 1;
     }
     assert!(pictures >= 1, "no picture");
     // The DRR is the one in the session's folder.

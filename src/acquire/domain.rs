@@ -87,7 +87,15 @@ pub(super) fn judge(tags: &FrameTags, traces: Traces, rescale_negative: bool, de
     if let Some(declared) = declared {
         evidence.insert(0, format!("declared by the user: {declared} (the header says {from_header})"));
     }
-    let larger_is_more_signal = direction(tags, rescale_negative, &mut evidence, &mut notes);
+    let larger_is_more_signal = match declared_direction(tags, declared) {
+        // Whoever says what the values mean says it of the values as they are.
+        Some(more) => {
+            let (words, way) = (declared.unwrap_or(domain), if more { "more" } else { "fewer" });
+            evidence.push(format!("declared {words}, and no attribute states a direction: larger values mean {way} X-rays"));
+            more
+        }
+        None => direction(tags, rescale_negative, &mut evidence, &mut notes),
+    };
     Verdict { domain, larger_is_more_signal, evidence, notes }
 }
 
@@ -137,6 +145,19 @@ fn domain_from_header(tags: &FrameTags, traces: Traces, evidence: &mut Vec<Strin
         evidence.push("8 bits or fewer are stored: values were windowed for display".into());
     }
     if evidence.len() > before && tags.presentation_intent.is_none() { Domain::Display } else { Domain::Unknown }
+}
+
+/// What a declared domain promises of the values, where no attribute says otherwise: no sign, no relationship, and no picture that is shown
+/// inverted.
+fn declared_direction(tags: &FrameTags, declared: Option<Domain>) -> Option<bool> {
+    let is_stated = tags.intensity_sign.is_some()
+        || tags.intensity_relationship.is_some()
+        || tags.photometric.as_deref() == Some("MONOCHROME1");
+    match declared.filter(|_| !is_stated)? {
+        Domain::Linear => Some(true),
+        Domain::Log => Some(false),
+        Domain::Display | Domain::Unknown => None,
+    }
 }
 
 fn direction(tags: &FrameTags, rescale_negative: bool, evidence: &mut Vec<String>, notes: &mut Vec<String>) -> bool {
@@ -237,5 +258,20 @@ mod tests {
         let verdict = judge(&tags("XA", "MONOCHROME2", Some("DISP")), Traces::default(), false, Some(Domain::Linear));
         assert_eq!(verdict.domain, Domain::Linear);
         assert!(verdict.evidence[0].contains("declared"));
+    }
+
+    /// A radiograph's raw values were turned over by the habit of its modality, whatever was said of them.
+    #[test]
+    fn a_declared_domain_outranks_the_habit_of_a_modality_and_no_attribute() {
+        let says = |tags: &FrameTags, domain| judge(tags, Traces::default(), false, Some(domain)).larger_is_more_signal;
+        for modality in ["DX", "XA"] {
+            let plain = tags(modality, "MONOCHROME2", None);
+            assert_eq!([says(&plain, Domain::Linear), says(&plain, Domain::Log)], [true, false], "{modality}");
+        }
+        let dx = tags("DX", "MONOCHROME2", None);
+        assert!(!says(&dx, Domain::Display), "the control: bone is white");
+        let signed = FrameTags { intensity_sign: Some(-1), ..dx };
+        assert!(!says(&signed, Domain::Linear), "an attribute says so");
+        assert!(!says(&tags("RF", "MONOCHROME1", None), Domain::Linear), "shown inverted");
     }
 }

@@ -5,25 +5,26 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::compare_origin::{Given, OriginError, doubts, view_of};
+pub use super::compare_error::CompareCommandError;
+use super::compare_origin::{Given, doubts, view_of};
 use super::compare_pictures::{described, mask_as_compared, read_flags, read_mask, read_simulated};
 use super::compare_table::table;
 use super::read_aloud::frame_aloud;
 use super::scattered::{Asked, SCATTER_ERROR, scattered};
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame};
+use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::compare::{
-    AirLevel, CompareError, CompareInput, Compared, NullRenders, NullScatter, OffsetRule, Tone, bead_marks, compare, elsewhere,
-    posed_scene, tool_mask,
+    AirLevel, CompareInput, Compared, NullRenders, NullScatter, OffsetRule, Tone, bead_marks, compare, elsewhere, posed_scene,
+    tool_mask,
 };
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
-use crate::image::{Image, ImageFileError, beside, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
-use crate::pose::{Pose, PoseFileError};
-use crate::render::{RenderError, Renderer, guessed};
+use crate::image::{Image, beside, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
+use crate::pose::Pose;
+use crate::render::{Renderer, guessed};
 use crate::report::{PairMarks, Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
 use crate::scene::model::Scene;
-use crate::scene::{SceneError, input_files, load};
+use crate::scene::{input_files, load};
 use crate::transport::NetworkScatter;
 
 /// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
@@ -73,85 +74,6 @@ pub struct CompareArgs {
     /// Folder for compare.json and strip.png; made if it is not there
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-}
-
-/// Why nothing was compared.
-#[derive(Debug, thiserror::Error)]
-pub enum CompareCommandError {
-    /// The acquired frame.
-    #[error(transparent)]
-    Frame(#[from] AcquireError),
-    /// The detector calibration cannot be read, or does not apply to the frame.
-    #[error(transparent)]
-    Detector(#[from] DetectorCalibrationError),
-    /// The simulated image, or an output.
-    #[error(transparent)]
-    Image(#[from] ImageFileError),
-    /// The pose.
-    #[error(transparent)]
-    Pose(#[from] PoseFileError),
-    /// The scene.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A pose that is not the simulated image's.
-    #[error(transparent)]
-    Origin(#[from] OriginError),
-    /// The renderer of the null.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-    /// Refused.
-    #[error(transparent)]
-    Compare(#[from] CompareError),
-    /// A render that says of itself that pixels are invalid, without the mask that says which.
-    #[error("{path}: is not there, but {percent:.1} % of the simulated image are invalid; copy it along, or render again", path = path.display())]
-    NoValidity {
-        /// The mask.
-        path: PathBuf,
-        /// Share of invalid pixels.
-        percent: f64,
-    },
-    /// A file that cannot be read.
-    #[error("{path}: {source}", path = path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Nothing says what the simulated image holds.
-    #[error("{path}: quantity is {found}, a comparison needs intensity or line_integral (--quantity, or IMAGE.tif.json beside it)", path = path.display())]
-    Quantity {
-        /// The simulated image.
-        path: PathBuf,
-        /// What was found.
-        found: String,
-    },
-    /// What is declared is not what was rendered.
-    #[error("--quantity {declared}: {path} says that it holds {found}; leave the flag out", path = path.display())]
-    OtherQuantity {
-        /// The simulated image.
-        path: PathBuf,
-        /// As typed.
-        declared: String,
-        /// By its description.
-        found: String,
-    },
-    /// Several pages.
-    #[error("{path}: holds {found} pages, a comparison needs one", path = path.display())]
-    Pages {
-        /// The simulated image.
-        path: PathBuf,
-        /// How many.
-        found: usize,
-    },
-    /// A mask that is no picture.
-    #[error("{path}: not a readable mask ({detail})", path = path.display())]
-    Mask {
-        /// The file.
-        path: PathBuf,
-        /// What the decoder said.
-        detail: String,
-    },
 }
 
 /// Compares, writes the folder, prints a table. Returns the exit code 0.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::compare::CompareCommandError;
+use super::compare_error::CompareCommandError;
 use crate::foreign::read_small;
 use crate::geometry::ConsoleGeometry;
 use crate::image::{Image, beside, read_tiff_f32};

@@ -23,6 +23,7 @@ mod calibrate_intensifier_beads;
 mod calibrate_intensifier_error;
 pub mod check;
 pub mod compare;
+mod compare_error;
 mod compare_origin;
 mod compare_pictures;
 mod compare_table;

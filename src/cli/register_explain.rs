@@ -114,7 +114,7 @@ mod tests {
             (tags.sid_mm, tags.pitch_mm, tags.kvp) = (Some(1000.0), Some([0.2; 2]), Some(80.0));
             (tags.primary_deg, tags.secondary_deg) = (Some(30.0), Some(-5.0));
             tags.collimator = Some(CollimatorTags { edges_px: Some([1.0, 2.0, 60.0, 40.0]), ..CollimatorTags::default() });
-            Seen { frame, intrinsics: own, prior: None, pitch_mm: None, turn_rad: 0.0, notes: Vec::new() }
+            Seen { frame, intrinsics: own, prior: None, pitch_mm: None, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
         };
         let words = |path: Option<&str>, own: Option<Intrinsics>| {
             let told = told(path.map(Path::new), &seen(own), &Masks::default());

@@ -61,13 +61,15 @@ pub(super) struct Seen {
     pub pitch_mm: Option<f64>,
     /// From the panel's axes to the frame's, about the beam.
     pub turn_rad: f64,
+    /// That the intrinsics' pixels are not those of the frame's header.
+    pub off_pitch: Option<String>,
     /// What was done and assumed.
     pub notes: Vec<String>,
 }
 
 impl Seen {
     fn plain(frame: Frame, intrinsics: Option<Intrinsics>, prior: Option<IntrinsicsPrior>, pitch_mm: Option<f64>) -> Self {
-        Self { frame, intrinsics, prior, pitch_mm, turn_rad: 0.0, notes: Vec::new() }
+        Self { frame, intrinsics, prior, pitch_mm, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
     }
 
     /// The frame stored at `path`, oriented and corrected, with K of the file, or of the header, as the console left it.
@@ -122,8 +124,13 @@ impl Seen {
             || RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found };
         let factor = whole_binning(expected, found).ok_or_else(size)?;
         if factor == 1 {
+            let off_pitch =
+                file.pitch_mm.zip(tagged_pitch_mm).filter(|(own, tagged)| !((own / tagged - 1.0).abs() <= OFF_HEADER));
+            let off_pitch = off_pitch.map(|(own, tagged)| {
+                format!("the frame's own header says pixels of {tagged} mm, the intrinsics {own} mm: one of the two is not this panel's, and all that is said in mm at the detector, SID among it, goes wrong by as much")
+            });
             let plain = Self::plain(frame, Some(file.intrinsics), file.prior(), file.pitch_mm.or(tagged_pitch_mm));
-            return Ok(Self { notes: undone, ..plain });
+            return Ok(Self { notes: undone, off_pitch, ..plain });
         }
         let binned = format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}");
         let notes = [undone, vec![binned]].concat();
@@ -136,6 +143,10 @@ impl Seen {
     /// That K is not that of the frame's own header, where the header has one. Pixels of header and K are those of the picture as stored.
     pub fn off_header(&self, pose: &Pose) -> Option<String> {
         let k = pose.intrinsics.filter(|_| pose.is_accepted())?;
+        self.off_focal(pose, &k).or_else(|| self.off_pitch.clone())
+    }
+
+    fn off_focal(&self, pose: &Pose, k: &Intrinsics) -> Option<String> {
         let (header, ..) = intrinsics_of(&self.frame)?;
         let (whose, focal_px, sigma_px) = match (pose.intrinsics_source.as_deref(), &self.prior) {
             (Some("given"), _) => ("given", k.fx, 0.0),

@@ -1,5 +1,6 @@
 //! `sidecarm register FRAME… --together`: several frames of one bead set.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::read_aloud::frame_aloud;
@@ -29,10 +30,15 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         assumed += 1;
     }
     let (mut views, mut intrinsics_prior, mut size_px) = (Vec::new(), None, None);
+    // Of one picture two views would count as two.
+    let mut known: BTreeMap<String, &PathBuf> = BTreeMap::new();
     let progress = reporter.progress("registering frames", args.frames.len() as u64);
     for (number, path) in args.frames.iter().enumerate() {
         let stored = frame_aloud(path, args.domain, reporter)?;
-        let mut notes = Vec::new();
+        if let Some(first) = known.insert(stored.sha256.clone(), path) {
+            return Err(RegisterError::SameFrame { path: path.clone(), first: first.clone() });
+        }
+        let mut notes = stored.altered.clone();
         let console = match Console::of(args, &given, &stored, &mut notes)? {
             Ok(console) => console,
             Err(pose) => {

@@ -26,6 +26,8 @@ struct OtherK {
     freed_px: f64,
     focal_ratio: f64,
     shift_px: f64,
+    /// It fits beads that were left out as displaced too: which of the two is wrong is open.
+    explains_left_out: bool,
 }
 
 /// Degrees of freedom that `beads` leave with K free, and what K's numbers must explain; `None` where so few tell nothing.
@@ -80,44 +82,65 @@ fn weighed_rms_px(solution: &Solution, matches: &[Match]) -> f64 {
 impl Case<'_> {
     /// The beads may fit far better with another K than with the one given.
     pub(super) fn check_given_intrinsics(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
-        let Some(OtherK { given_px, freed_px, focal_ratio, shift_px }) = self.other_intrinsics(last) else { return Ok(()) };
+        let Some(OtherK { given_px, freed_px, focal_ratio, shift_px, explains_left_out }) = self.other_intrinsics(last) else {
+            return Ok(());
+        };
         let focal_off = (focal_ratio - 1.0).abs();
         let width_px = f64::from(self.request.size_px[0]);
         let beyond = |focal: f64, centre: f64| focal_off > focal || shift_px > centre * width_px;
-        if beyond(OTHER_FOCAL.1, OTHER_CENTRE.1) && given_px > LEAST_RMS_PX {
+        if beyond(OTHER_FOCAL.1, OTHER_CENTRE.1) && given_px > LEAST_RMS_PX && !explains_left_out {
             return Err(Refusal::Intrinsics { given_px, freed_px, focal_ratio, shift_px });
         }
         if beyond(OTHER_FOCAL.0, OTHER_CENTRE.0) {
             let way = if focal_ratio < 1.0 { "shorter" } else { "longer" };
+            let left_out = if explains_left_out { ", those that were left out as displaced among them," } else { "" };
             cautions.doubt(format!(
-                "the beads fit to {given_px:.3} px with K as given, to {freed_px:.3} px with a focal length {:.1} % {way} and the principal point {shift_px:.0} px away: check K, SID and pitch",
+                "the beads{left_out} fit to {given_px:.3} px with K as given, to {freed_px:.3} px with a focal length {:.1} % {way} and the principal point {shift_px:.0} px away: check K, SID and pitch",
                 100.0 * focal_off
             ));
         }
         Ok(())
     }
 
-    /// The K that explains the beads better than chance would.
+    /// The K that explains the beads better than chance would: those that were used, or all that were matched. What was left out as displaced may
+    /// be what another K explains.
     fn other_intrinsics(&self, last: &Settled) -> Option<OtherK> {
         let k = self.request.intrinsics?;
-        let (degrees, needed) = needed(last.matches.len())?;
-        let fits = Fits::new(&last.matches, &last.solution.camera_from_lps, &k)?;
-        let Times { in_px, in_sigmas } = fits.times(&last.matches, degrees);
-        let times = in_px.max(in_sigmas);
-        if !(times > needed) {
-            let own = &last.solution.camera_from_lps;
-            self.hear(Reading::OtherIntrinsics, None, own, Rejected::NotNeeded { times, needed });
+        let start = &last.solution.camera_from_lps;
+        let mut most: Option<Rejected> = None;
+        let mut explains = |matches: &[Match]| {
+            let (degrees, needed) = needed(matches.len())?;
+            let fits = Fits::new(matches, start, &k)?;
+            let Times { in_px, in_sigmas } = fits.times(matches, degrees);
+            let times = in_px.max(in_sigmas);
+            if !(times > needed) {
+                most.get_or_insert(Rejected::NotNeeded { times, needed });
+                return None;
+            }
+            Some((fits, in_sigmas > in_px))
+        };
+        let found = explains(&last.matches).map(|found| (found, last.matches.clone(), false));
+        let found = found.or_else(|| {
+            let left_out = last.left_out.iter().map(|(m, _)| *m);
+            let all: Vec<Match> = last.matches.iter().copied().chain(left_out).collect();
+            (all.len() > last.matches.len()).then(|| explains(&all)).flatten().map(|found| (found, all, true))
+        });
+        let Some(((fits, by_sigmas), matches, explains_left_out)) = found else {
+            if let Some(rejected) = most {
+                self.hear(Reading::OtherIntrinsics, None, start, rejected);
+            }
             return None;
-        }
-        let given = if self.request.fuse { &fits.held } else { &last.solution };
+        };
+        let given = if self.request.fuse || explains_left_out { &fits.held } else { &last.solution };
         // Said as it was judged.
-        let rms_px = |of: &Solution| if in_sigmas > in_px { weighed_rms_px(of, &last.matches) } else { of.rms_px() };
+        let rms_px = |of: &Solution| if by_sigmas { weighed_rms_px(of, &matches) } else { of.rms_px() };
         let solved = fits.freed.intrinsics;
         Some(OtherK {
             given_px: rms_px(given),
             freed_px: rms_px(&fits.freed),
             focal_ratio: solved.fx / k.fx,
             shift_px: (solved.cx - k.cx).hypot(solved.cy - k.cy),
+            explains_left_out,
         })
     }
 }

@@ -8,7 +8,8 @@
 //! | `BaseToLps`, `TipToLps` | TRANSFORM | `lps_from_base`, `lps_from_tip` | each robot sample whose base is known |
 //! | `Tip` | POSITION | the drill's tip in LPS, mm, with its orientation | as `TipToLps` |
 //! | `TipCommandedToLps`, `TipCommanded` | | the same by angles that were commanded and not sensed | in place of those |
-//! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair |
+//! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair of an accepted pose |
+//! | `AcquiredUnplaced`, `DrrUnplaced` | IMAGE | the same of a frame that lies nowhere: under a name of its own, which no transform moves | each other pair |
 //! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees, or it is in doubt |
 //! | `Sidecarm` | STATUS | the same in a code: 1 accepted, 2 refused or doubted, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
 //!
@@ -150,19 +151,22 @@ impl Broadcast {
 
     fn pictures(&self, server: &Server, developed: &Developed) {
         let posed = &developed.posed;
+        let by_beads = posed.pose.is_accepted() && posed.pose_source == PoseSource::Beads;
         let placed = match (posed.pose.camera(), developed.pitch_mm()) {
-            (Some((k, _)), Some(pitch_mm)) => Placement::on_detector(&k, pitch_mm),
+            (Some((k, _)), Some(pitch_mm)) if by_beads => Placement::on_detector(&k, pitch_mm),
             _ => None,
         };
+        // Under the transform of an earlier pose it would lie where another picture was taken.
+        let [acquired, drr] = if placed.is_some() { ["Acquired", "Drr"] } else { ["AcquiredUnplaced", "DrrUnplaced"] };
         let placement = placed.unwrap_or(Placement::PIXELS);
         let send = |device: &str, image: &Image<f32>| {
             if let Some(picture) = Picture::of(image, placement) {
                 server.send(Message { device: device.to_owned(), time_us: posed.time_us, content: Content::Image(picture) });
             }
         };
-        send("Acquired", &posed.frame.pixels);
-        if let Some((drr, _)) = &developed.drr {
-            send("Drr", &drr.pages[0]);
+        send(acquired, &posed.frame.pixels);
+        if let Some((image, _)) = &developed.drr {
+            send(drr, &image.pages[0]);
         }
     }
 }

@@ -328,6 +328,12 @@ impl Live {
     }
 }
 
+/// Whether a session in a lab that makes no exposure ended with that loss alone, by what it printed.
+pub fn lacks_exposures_alone(code: Option<i32>, stdout: &str) -> bool {
+    let lost: Vec<&str> = stdout.lines().filter(|line| line.contains("lost: ")).collect();
+    code == Some(3) && lost.len() == 1 && lost[0].contains("told of no exposure")
+}
+
 /// What a log holds.
 #[derive(Debug, Default)]
 pub struct Heard {

@@ -112,6 +112,35 @@ fn a_k_that_is_far_off_is_named() {
     assert!(cases >= 6 && 2 * named >= cases, "{named} of {cases}");
 }
 
+/// Beads that K contradicts most were left out as displaced, and what was left fitted: accepted, centimetres off, without a word.
+#[test]
+fn beads_that_another_k_explains_are_not_just_left_out() {
+    let (mut cases, mut told, mut left_out) = (0, 0, 0);
+    for seed in 0..24 {
+        let (view, mut layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(11, 0.75, seed));
+        layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.02));
+        let found = shadows(&view, &layout, 0.05, 0.02, seed);
+        if found.len() < 9 {
+            continue;
+        }
+        let with = |k: Intrinsics| register_shadows(&Registration { intrinsics: Some(k), ..matching(&view, &layout) }, &found);
+        let k = view.intrinsics;
+        for wrong in [Intrinsics { cx: k.cx - 70.0, cy: k.cy - 144.0, ..k }, Intrinsics { fx: 0.9 * k.fx, fy: 0.9 * k.fy, ..k }] {
+            let pose = with(wrong);
+            let plain = pose.is_accepted() && pose.doubt.is_none();
+            let off_px = if plain { landmark_error_px(&pose, &view) } else { 0.0 };
+            assert!(off_px < 2.0, "seed {seed}: accepted {off_px} px off, {:?}", pose.cautions);
+            left_out += usize::from(pose.doubt.as_ref().is_some_and(|doubt| doubt.contains("left out as displaced among them")));
+            told += usize::from(!plain);
+            cases += 1;
+        }
+        let right = with(k);
+        assert!(right.is_accepted() && right.doubt.is_none(), "seed {seed}, the control: {:?} {:?}", right.reason, right.doubt);
+    }
+    println!("{told} of {cases} told, {left_out} by beads that were left out");
+    assert!(cases >= 20 && 10 * told >= 9 * cases, "{told} of {cases}");
+}
+
 /// A prior that has nothing to do with the frame does not stop nine clear beads: the pose comes without it, and says so.
 #[test]
 fn an_unrelated_prior_does_not_stop_clear_beads() {

@@ -115,8 +115,8 @@ const EXPOSURE_US: i64 = 600_000;
 const TIP_MM: f64 = 0.6;
 
 /// Records the inputs of `log` anew in `out`, its frames last: before them the robot goes on, eleven minutes later and at a port that
-/// was opened anew, with what it said in the log `after`. Of the devices it holds what they said until `until_us`.
-fn with_forgotten_samples(log: &Path, after: &Path, until_us: i64, out: &Path) {
+/// was opened anew, with what it said in the log `after`. Of the devices it holds what they said until `until_us`, and frames of these `numbers`.
+fn with_forgotten_samples(log: &Path, after: &Path, (until_us, numbers): (i64, &[u64]), out: &Path) {
     let inputs = entries(log);
     let mut last_us = inputs.first().expect("messages").host_us;
     let recorder = Recorder::create(out, &Provenance::of_this_program(last_us, Value::Null)).expect("a log");
@@ -144,7 +144,7 @@ fn with_forgotten_samples(log: &Path, after: &Path, until_us: i64, out: &Path) {
         recorder.raw_bytes("robot", epoch + 1, at_us, raw.bytes).expect("recorded");
         at_us += 10_000;
     }
-    for frame in &frames {
+    for frame in frames.iter().filter(|frame| numbers.contains(&u64::from(frame.number))) {
         recorder.frame(frame, at_us).expect("recorded");
     }
     recorder.json("/session/end", at_us, &json!({"host_us": at_us})).expect("recorded");
@@ -167,13 +167,16 @@ fn frames_that_come_when_the_robots_samples_are_forgotten_show_it_as_it_was() {
     let (late, again) = (folder.path().join("late.mcap"), folder.path().join("again"));
     let in_time = rows(log.parent().expect("a folder"));
     // As many exposures as frames: beside one more, whose frame had not come when the session ended, frames that all come late may be of either.
-    let last_us = in_time.iter().filter_map(|pair| pair["time_us"].as_i64()).max().expect("pairs");
-    with_forgotten_samples(log, after, last_us + EXPOSURE_US, &late);
+    // The time of a frame that is bound to none is that of its arrival, when the next exposure may have been.
+    let bound = || in_time.iter().filter(|pair| pair["binding"] != "none");
+    let last_us = bound().filter_map(|pair| pair["time_us"].as_i64()).max().expect("pairs");
+    let numbers: Vec<u64> = bound().filter_map(|pair| pair["number"].as_u64()).collect();
+    with_forgotten_samples(log, after, (last_us + EXPOSURE_US, &numbers), &late);
     let (code, found) = replay(&late, &recorded.kit, &again);
     assert!(matches!(code, Some(0 | 3)), "{found:#}");
     let late = rows(&again);
     let (mut stored, mut seen) = (0, 0);
-    for before in in_time.iter().filter(|pair| pair["robot_source"] == "sensed") {
+    for before in bound().filter(|pair| pair["robot_source"] == "sensed") {
         let pair = late.iter().find(|pair| pair["number"] == before["number"]).expect("the same frame");
         // Where its exposure was heard only in part, stamp and count may name none.
         if pair["binding"] == "none" {

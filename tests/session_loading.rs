@@ -42,17 +42,9 @@ fn air(path: &Path, side: u16) {
 
 #[test]
 fn what_comes_while_the_scene_is_loaded_is_recorded() {
-    let Some(lab) = Lab::start_without_ct(&[
-        "--duration-s",
-        "12",
-        "--faults",
-        "none",
-        "--await-all",
-        "--start-delay-s",
-        "0",
-        "--idle-s",
-        "300",
-    ]) else {
+    let Some(lab) =
+        Lab::start(&["--duration-s", "12", "--faults", "none", "--await-all", "--start-delay-s", "0", "--idle-s", "300"])
+    else {
         return;
     };
     air(&lab.kit.join("air.nii"), 400);

@@ -193,10 +193,29 @@ fn memory_is_bounded_and_says_what_it_forgot() {
 #[test]
 fn impossible_times_and_wrong_devices_are_not_taken() {
     let mut timeline = Fed::default();
-    assert!(timeline.push_sample(DeviceKind::Carm, T0_US, 0, carm(0, u64::MAX, 0.0, false, None)).is_none());
     assert!(timeline.push_sample(DeviceKind::Robot, T0_US, 0, carm(0, 0, 0.0, false, None)).is_none());
-    assert_eq!(timeline.summaries()[0].unusable, 1);
     assert!(timeline.joints_at(T0_US).is_none());
+    assert!(timeline.push_sample(DeviceKind::Carm, T0_US, 0, carm(0, 5_000_000, 0.0, false, None)).is_some());
+    assert!(timeline.push_sample(DeviceKind::Carm, T0_US + 33_000, 0, carm(1, u64::MAX, 0.0, false, None)).is_none());
+    assert_eq!((timeline.summaries()[0].unusable, timeline.summaries()[0].no_time), (1, 1));
+}
+
+/// Times of such a clock were none, and all exposures with them, without a word.
+#[test]
+fn a_clock_of_any_epoch_and_one_that_runs_over_have_times() {
+    for first_us in [1u64 << 63, u64::MAX - 1_000_000, 1 << 52] {
+        let mut timeline = Fed::default();
+        for i in 0..100u32 {
+            let device_us = first_us.wrapping_add(u64::from(i) * 33_000);
+            let host_us = T0_US + i64::from(i) * 33_000;
+            assert!(timeline.push_sample(DeviceKind::Carm, host_us, 0, carm(i, device_us, 0.0, false, None)).is_some(), "{i}");
+        }
+        let summary = &timeline.summaries()[0];
+        assert_eq!((summary.samples, summary.unusable, summary.clock_steps), (100, 0, 0), "from {first_us}");
+        // A device that starts over counts from zero.
+        let restarted = timeline.push_sample(DeviceKind::Carm, T0_US + 4_000_000, 1, carm(0, 1_000, 0.0, false, None));
+        assert!(restarted.is_some(), "from {first_us}");
+    }
 }
 
 #[test]

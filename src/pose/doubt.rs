@@ -114,6 +114,7 @@ impl Case<'_> {
         self.check_given_intrinsics(last, &mut cautions)?;
         self.check_lens(last, &mut cautions)?;
         self.check_radii(last, &mut cautions)?;
+        self.check_correspondences(last, &mut cautions);
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
         self.doubt_put(last, &mut cautions);
@@ -199,6 +200,22 @@ impl Case<'_> {
             place.is_some_and(|at| self.nearest_free(last, at).is_some())
         };
         last.left_out.len() + unknown.filter(close_by).count()
+    }
+
+    /// A bead that a person has named, and that does not stand where it is said to be by all others.
+    fn check_correspondences(&self, last: &Settled, cautions: &mut Cautions) {
+        let stands = |m: &Match, (bead, shadow): &(usize, usize)| m.bead == *bead && m.detection == *shadow;
+        let kept = |pair: &(usize, usize)| {
+            last.matches.iter().any(|m| stands(m, pair)) || last.merged.iter().any(|(m, _)| stands(m, pair))
+        };
+        let given = self.pinned.iter().take(self.request.correspondences.len()).zip(self.request.correspondences);
+        let contradicted: Vec<&str> = given.filter(|(pair, _)| !kept(pair)).map(|(_, given)| given.bead.as_str()).collect();
+        if !contradicted.is_empty() {
+            cautions.doubt(format!(
+                "{} named by correspondence: by all others it is not the shadow that was meant; check names and places in that file, or the bead has moved",
+                contradicted.join(", ")
+            ));
+        }
     }
 
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that

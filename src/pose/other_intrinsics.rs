@@ -15,6 +15,9 @@ use crate::geometry::{Intrinsics, Rigid};
 /// above beyond 0.99995: by chance one of the two ratios is larger in one of 20 000 frames, and one of both, whatever they have to do with
 /// each other, in no more than the sum, one of 10 000.
 const SURE_RATIOS: [(usize, f64); 4] = [(11, 23.0), (7, 48.0), (5, 115.0), (3, 1050.0)];
+/// Of beads that were left out: χ² with three degrees of freedom beyond which K is needed, by what is stated of the beads or, where that is less
+/// than what is left, by that (2.5 in 10⁵).
+const EXPLAINS_LEFT_OUT: f64 = 24.0;
 /// Relative differences of the focal length from which on another K is said, and refused …
 const OTHER_FOCAL: (f64, f64) = (0.01, 0.03);
 /// … and shifts of the principal point, as a share of the width.
@@ -58,6 +61,12 @@ impl Fits {
     fn new(matches: &[Match], start: &Rigid, k: &Intrinsics) -> Option<Self> {
         let alone = |free: Free| solve(matches, start, k, &Options { iterations: 60, ..Options::least_squares(free) });
         Some(Self { held: alone(Free::Pose)?, freed: alone(Free::Square)? })
+    }
+
+    /// By how much χ² falls when K is free.
+    fn gain_sigmas2(&self, degrees: f64) -> f64 {
+        let [held, freed] = [&self.held, &self.freed].map(|of| of.chi2.iter().sum::<f64>());
+        (held - freed) / (freed / degrees).max(1.0)
     }
 
     fn times(&self, matches: &[Match], degrees: f64) -> Times {
@@ -108,22 +117,24 @@ impl Case<'_> {
         let k = self.request.intrinsics?;
         let start = &last.solution.camera_from_lps;
         let mut most: Option<Rejected> = None;
-        let mut explains = |matches: &[Match]| {
+        let mut explains = |matches: &[Match], with_left_out: bool| {
             let (degrees, needed) = needed(matches.len())?;
             let fits = Fits::new(matches, start, &k)?;
             let Times { in_px, in_sigmas } = fits.times(matches, degrees);
             let times = in_px.max(in_sigmas);
-            if !(times > needed) {
+            // A bead that moved leaves its residual to any K.
+            let fits_all = with_left_out && fits.gain_sigmas2(degrees) > EXPLAINS_LEFT_OUT;
+            if !(times > needed || fits_all) {
                 most.get_or_insert(Rejected::NotNeeded { times, needed });
                 return None;
             }
             Some((fits, in_sigmas > in_px))
         };
-        let found = explains(&last.matches).map(|found| (found, last.matches.clone(), false));
+        let found = explains(&last.matches, false).map(|found| (found, last.matches.clone(), false));
         let found = found.or_else(|| {
             let left_out = last.left_out.iter().map(|(m, _)| *m);
             let all: Vec<Match> = last.matches.iter().copied().chain(left_out).collect();
-            (all.len() > last.matches.len()).then(|| explains(&all)).flatten().map(|found| (found, all, true))
+            (all.len() > last.matches.len()).then(|| explains(&all, true)).flatten().map(|found| (found, all, true))
         });
         let Some(((fits, by_sigmas), matches, explains_left_out)) = found else {
             if let Some(rejected) = most {

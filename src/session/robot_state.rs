@@ -163,7 +163,8 @@ fn stood_still(timeline: &Timeline, mid_us: i64, binding: &Binding) -> bool {
     });
     let (mut from_us, mut to_us) =
         unseen.map_or((mid_us, mid_us), |half_us| (mid_us.saturating_sub(half_us), mid_us.saturating_add(half_us)));
-    if let Some(exposure) = &binding.exposure {
+    // The time of an exposure that was not seen at all is narrowed by what the console says of it.
+    if let Some(exposure) = binding.exposure.as_ref().filter(|_| unseen.is_none()) {
         let [begin_us, end_us] = [exposure.start_uncertainty_us, exposure.end_uncertainty_us].map(|sigma_us| sigma_us as i64);
         if begin_us.max(end_us) > MAX_GAP_US / 2 {
             from_us = from_us.min(exposure.start_us.saturating_sub(begin_us));

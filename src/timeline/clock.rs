@@ -240,7 +240,8 @@ impl ClockMap {
             centre_us: 0.5 * (left.x_us + right.x_us),
             scatter_us,
             excess_us,
-            excess_from_us: late[0].x_us.min(points[points.len().saturating_sub(2)].x_us),
+            // It may have begun right after the last that came in time.
+            excess_from_us: begun.checked_sub(1).map_or(late[0].x_us, |last| points[last].x_us + 1.0).min(late[0].x_us),
             stands,
         }
     }

@@ -215,7 +215,10 @@ impl<T> Track<T> {
     fn counted_from_origin(&mut self, device_us: u64, began: bool) -> i64 {
         let own_us = if device_us < LARGEST_US / 2 { 0 } else { device_us };
         let origin_us = *self.origin_us.get_or_insert(own_us);
-        let from = |origin_us: u64| device_us.wrapping_sub(origin_us).cast_signed();
+        let from = |origin_us: u64| match origin_us {
+            0 => i64::try_from(device_us).unwrap_or(i64::MAX),
+            origin_us => device_us.wrapping_sub(origin_us).cast_signed(),
+        };
         if from(origin_us).unsigned_abs() >= LARGEST_US && (began || origin_us > 0) {
             self.origin_us = Some(own_us);
             return from(own_us);

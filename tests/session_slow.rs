@@ -7,7 +7,7 @@ use crate::live_lab::{HANG_S, Live, Signal, deliver, eventually, many_images, qu
 /// One file on a slow share, or one that a reader hangs on, held up every frame after it, without a word.
 #[test]
 fn a_file_that_is_slow_to_read_is_passed_by_the_next_and_said() {
-    const IMAGES: usize = 150;
+    const IMAGES: usize = 24;
     let Some((lab, frame, folder)) = quiet_lab("90") else { return };
     let lab = lab.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);

@@ -36,8 +36,6 @@ const USUAL_RADIUS: f64 = 0.97;
 /// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
 /// changes what half the depth is.
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
-/// From this depth on a shadow's edge is steeper than its logarithm shows.
-const DEEP_NEPERS: f64 = 1.5;
 /// Radii of few pixels are measured worse: so much more by the square of the radius, px².
 const SMALL_RADIUS_PX2: f64 = 0.3;
 /// Standard deviation of a median over the median deviation from it and the root of the number, and how many of these radii may be off by.
@@ -70,8 +68,6 @@ struct RadiusRatio {
     sigma: f64,
     /// What the radius of that bead should be.
     expected_px: f64,
-    /// Depth of the shadows, the median: nepers of quantitative values.
-    depth_nepers: f64,
 }
 
 impl Case<'_> {
@@ -222,13 +218,11 @@ impl Case<'_> {
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
-        let Some(RadiusRatio { ratio, sigma, expected_px, depth_nepers }) = self.radius_ratio(last) else { return Ok(()) };
+        let Some(RadiusRatio { ratio, sigma, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
         let small = SMALL_RADIUS_PX2 / expected_px.powi(2);
-        // Radii that scatter are a doubt, and no contradiction; so are those of shadows that let next to nothing through, where blur of the
-        // intensity takes more than is counted on.
-        let may_be_blur = ratio < 1.0 && depth_nepers > DEEP_NEPERS;
-        if quantitative && !may_be_blur && !(off <= OTHER_RADIUS.1 + small + RADIUS_SIGMAS * sigma) {
+        // Radii that scatter are a doubt, and no contradiction.
+        if quantitative && !(off <= OTHER_RADIUS.1 + small + RADIUS_SIGMAS * sigma) {
             return Err(Refusal::Radii { ratio });
         }
         if !(off <= OTHER_RADIUS.0 + small) {
@@ -258,11 +252,7 @@ impl Case<'_> {
         let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
         off.sort_by(f64::total_cmp);
         let sigma = SIGMA_OF_MEDIAN * off[off.len() / 2] / (off.len() as f64).sqrt();
-        let mut depths: Vec<f64> =
-            last.matches.iter().filter_map(|m| Some(self.detections.get(m.detection)?.contrast.abs())).collect();
-        depths.sort_by(f64::total_cmp);
-        let depth_nepers = depths.get(depths.len() / 2).copied().unwrap_or_default();
-        Some(RadiusRatio { ratio: ratio / USUAL_RADIUS, sigma, expected_px, depth_nepers })
+        Some(RadiusRatio { ratio: ratio / USUAL_RADIUS, sigma, expected_px })
     }
 
     /// A second reading of the shadows that are left.

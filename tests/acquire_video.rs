@@ -296,7 +296,7 @@ fn words_of_libraries_do_not_come_among_the_pictures() {
 #[cfg(unix)]
 #[test]
 fn a_video_that_does_not_open_is_left_when_the_session_ends() {
-    use crate::live_lab::{HANG_S, Running};
+    use crate::live_lab::{HANG_S, Running, eventually, process_with};
     use std::process::Stdio;
     let folder = tempfile::tempdir().expect("a folder");
     let pipe = folder.path().join("monitor.y4m");
@@ -305,7 +305,8 @@ fn a_video_that_does_not_open_is_left_when_the_session_ends() {
     command.arg("grab").arg(&pipe).arg("--into").arg(folder.path()).args(["--attended", "--json"]);
     command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
     let mut grabbing = Running(command.spawn().expect("starts"));
-    assert!(grabbing.end(0.5).is_none(), "the control: it waits");
+    let opening = || process_with(&[pipe.as_os_str().as_encoded_bytes(), b"--attended"]);
+    assert!(eventually(HANG_S, opening).is_some() && grabbing.end(0.5).is_none(), "the control: it waits");
     drop(grabbing.0.stdin.take());
     let status = grabbing.end(HANG_S).expect("it goes on");
     assert!(status.success(), "{status}");

@@ -149,7 +149,7 @@ const OPENS: [(&str, &str); 6] = [
 ];
 
 /// What writes a file under its name, where it is seen half written and a loss of power leaves it empty.
-const WRITINGS: [&str; 3] = ["fs::write(", " File::create(", "fs::File::create("];
+const WRITINGS: [&str; 4] = ["fs::write(", " File::create(", "(File::create(", "fs::File::create("];
 /// Where one stands for a reason.
 const WRITES: [(&str, &str); 2] =
     [("image/video.rs", "under a name that is no file's yet"), ("session/chime.rs", "in a temporary folder")];
@@ -188,6 +188,7 @@ fn files_are_opened_where_it_is_asked_what_they_are() {
 fn files_are_written_where_they_appear_whole() {
     assert_only(&WRITES, &WRITINGS, "write it with crate::image::write_atomically, or with NewFile");
     assert_eq!(calls("std::fs::write(path, text)?; NewFile::create(path)?", &WRITINGS), ["fs::write("], "the control");
+    assert_eq!(calls("let file = File::create(path)?;", &WRITINGS), [" File::create("], "the control");
 }
 
 /// Why a test is ignored names the command of `scripts/evaluate` that runs it, and that command runs it.

@@ -25,15 +25,30 @@ fn listed(folder: &Path) -> Vec<PathBuf> {
     std::fs::read_dir(folder).expect("listed").flatten().map(|entry| entry.path()).collect()
 }
 
+/// Starts it and waits until a check has made a temporary folder.
+fn at_work(command: &mut Command, temporary: &Path) -> Running {
+    let check = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts"));
+    let wanted = eventually(HANG_S, || listed(temporary).iter().any(|own| !listed(own).is_empty()).then_some(()));
+    assert!(wanted.is_some(), "no check wanted a temporary folder");
+    check
+}
+
+/// What it says until its end, and its exit code.
+fn ended(mut check: Running) -> (String, Option<i32>) {
+    let status = check.end(HANG_S).expect("it goes on");
+    let mut said = String::new();
+    let mut out = check.0.stdout.take().expect("a pipe");
+    std::io::Read::read_to_string(&mut out, &mut said).expect("text");
+    (said, status.code())
+}
+
 /// The temporary folder of the check that was still at work was left.
 #[test]
 fn a_check_that_gives_up_leaves_no_temporary_files() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (mut command, temporary) = hanging(folder.path(), "1.5");
-    let ran = command.output().expect("runs");
-    let said = String::from_utf8_lossy(&ran.stdout);
-    assert!(said.contains("pass  session file"), "{said}");
-    assert!(said.contains("not all checks were done within 1.5 s"), "{said} {}", String::from_utf8_lossy(&ran.stderr));
+    let (mut command, temporary) = hanging(folder.path(), "6");
+    let (said, _) = ended(at_work(&mut command, &temporary));
+    assert!(said.contains("pass  session file") && said.contains("not all checks were done within 6 s"), "{said}");
     assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
 }
 
@@ -42,15 +57,10 @@ fn a_check_that_gives_up_leaves_no_temporary_files() {
 fn ctrl_c_ends_a_check_with_what_it_found_and_without_temporary_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let (mut command, temporary) = hanging(folder.path(), "1000");
-    let mut check = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts"));
-    let at_work = eventually(HANG_S, || listed(&temporary).iter().any(|own| !listed(own).is_empty()).then_some(()));
-    assert!(at_work.is_some(), "no check wanted a temporary folder");
+    let check = at_work(&mut command, &temporary);
     check.signal(Signal::INT);
-    let status = check.end(HANG_S).expect("it goes on");
-    let mut said = String::new();
-    let mut out = check.0.stdout.take().expect("a pipe");
-    std::io::Read::read_to_string(&mut out, &mut said).expect("text");
-    assert_eq!(status.code(), Some(1), "{said}");
+    let (said, code) = ended(check);
+    assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("pass  session file") && said.contains("ended before all checks were done"), "{said}");
     assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
 }

@@ -54,3 +54,25 @@ fn a_disk_without_room_for_a_session_is_named_with_its_remedy() {
         assert_ne!(row("disk")["level"], "fail", "{size}: the folder itself can be written: {rows:#?}");
     }
 }
+
+/// The log and the pictures of a session were taken for frames that cannot be read, and said to be lost.
+#[test]
+fn a_session_that_would_write_among_its_frames_does_not_begin() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    std::fs::create_dir(folder.path().join("frames")).expect("a folder");
+    std::fs::write(folder.path().join("scene.json"), json!({"objects": []}).to_string()).expect("written");
+    let session = json!({"frames": {"folder": "frames"}, "scene": "scene.json"});
+    std::fs::write(folder.path().join("session.json"), session.to_string()).expect("written");
+    let live = |out: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.args(["live", "session.json", "--headless", "--seconds", "0.5", "--out", out]);
+        let run = command.current_dir(folder.path()).output().expect("the program starts");
+        (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
+    };
+    let (code, words) = live("frames/../frames");
+    assert!(code == Some(1) && words.contains("is the folder in which frames are looked for; choose another --out"), "{words}");
+    let left = std::fs::read_dir(folder.path().join("frames")).expect("the folder").count();
+    assert_eq!(left, 0, "nothing is written there: {words}");
+    let (code, words) = live("run");
+    assert_eq!(code, Some(0), "the control: {words}");
+}

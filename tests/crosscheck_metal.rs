@@ -7,7 +7,8 @@ use std::path::Path;
 use serde_json::{Value, json as value};
 
 use crate::crosscheck_image::{json, kit};
-use crate::crosscheck_session::{check, check_unrehearsed, copy, edit, live, move_beads};
+use crate::crosscheck_live::live;
+use crate::crosscheck_session::{check, check_unrehearsed, copy, edit, move_beads};
 use crate::session_demo::mock_is_built;
 
 const CHECK: &str = "beads and CT metal";

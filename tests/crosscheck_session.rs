@@ -1,21 +1,18 @@
-//! Sessions whose files contradict each other: through `check`, and through `live` with the mocked laboratory.
+//! Sessions whose files contradict each other, through `check`.
 #![cfg(unix)]
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use rustix::process::{Pid, kill_process};
 use serde_json::{Value, json as value};
 use serialport::{SerialPort, TTYPort};
 
 use crate::crosscheck_image::{json, kit};
-use crate::live_lab::{HANG_S, Signal, eventually};
 use crate::session_demo::mock_is_built;
-use crate::session_names::replay_words;
 
 fn write(path: &Path, value: &Value) {
     std::fs::write(path, format!("{value:#}")).expect("written");
@@ -63,7 +60,8 @@ pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
     check_within(folder, &std::env::temp_dir())
 }
 
-/// The same without the exposure that is rehearsed, which has no place for its files: for faults that other checks name.
+/// The same without the exposure that is rehearsed, which has no place for its files: for faults that other checks name. Its exit code is always
+/// 1.
 pub fn check_unrehearsed(folder: &Path) -> (Vec<(String, String, String)>, i32) {
     check_within(folder, &folder.join("nowhere"))
 }
@@ -239,7 +237,7 @@ fn faults_of_files_are_each_named_with_their_remedy() {
         for (_, spoil, ..) in faults.iter().copied() {
             spoil(&spoiled);
         }
-        let (rows, code) = check_unrehearsed(&spoiled);
+        let (rows, _) = check_unrehearsed(&spoiled);
         for (name, _, check_name, level, words) in faults {
             let row = rows.iter().find(|row| row.0 == *check_name && row.1 == *level);
             let row = row.unwrap_or_else(|| panic!("{name}: no {level} of '{check_name}' in {rows:#?}"));
@@ -248,7 +246,7 @@ fn faults_of_files_are_each_named_with_their_remedy() {
             }
             assert!(!row.2.ends_with("→ "), "{name}: no remedy");
         }
-        assert_eq!(code, 1, "{names:?}: the C-arm's port is not there");
+        assert!(rows.iter().any(|row| row.0 == "C-arm port" && row.1 == "fail"), "{names:?}: {rows:#?}");
     };
     let run = &run;
     std::thread::scope(|scope| {
@@ -339,171 +337,11 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
     });
     let broken = copy(&mock.lab, "broken");
     edit(&broken, "session.json", |s| (s["carm"]["port"], s["robot"]["port"]) = (value!(silent_path), value!(noisy_path)));
-    let (rows, code) = check_unrehearsed(&broken);
+    let (rows, _) = check_unrehearsed(&broken);
     stop.store(true, Ordering::Relaxed);
     noise.join().expect("ends");
     let (_, level, words) = port(&rows, "C-arm port");
     assert!(level == "fail" && words.contains("silent"), "{words}");
     let (_, level, words) = port(&rows, "robot port");
     assert!(level == "fail" && words.contains("no robot sample") && words.contains("baud rate"), "{words}");
-    assert_eq!(code, 1);
-}
-
-/// Runs `live` on a mocked laboratory whose files `spoil` has changed, until its three frames have their pairs; those, the report and what was
-/// printed.
-pub fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
-    const FRAMES: usize = 3;
-    let exposures = FRAMES.to_string();
-    let mut all =
-        vec!["--duration-s", "8", "--exposures", &exposures, "--faults", "none", "--start-delay-s", "1", "--idle-s", "300"];
-    all.extend(options);
-    let mock = Mock::start(folder, &all);
-    spoil(&mock.lab);
-    let session = mock.lab.join("session.json");
-    let out = mock.lab.join("session");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    command.arg("live").arg(session).args(["--headless", "--include-existing"]);
-    let live = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
-    let id = Pid::from_child(&live);
-    let running = std::thread::spawn(move || live.wait_with_output().expect("runs"));
-    let count = || {
-        let pairs: Value = serde_json::from_slice(&std::fs::read(out.join("pairs.json")).unwrap_or_default()).unwrap_or_default();
-        pairs["pairs"].as_array().map_or(0, Vec::len)
-    };
-    let is_over = eventually(HANG_S, || (running.is_finished() || count() >= FRAMES).then(|| running.is_finished()));
-    if is_over != Some(true) {
-        // It may have ended just now.
-        let _ = kill_process(id, Signal::INT);
-    }
-    let run = running.join().expect("no panic");
-    let words = format!("{}{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr), run.status);
-    assert!(out.join("session.mcap").exists(), "{words}");
-    let pairs = json(&out.join("pairs.json"))["pairs"].as_array().expect("a list").clone();
-    assert_eq!(pairs.len(), FRAMES, "{words}");
-    let report = std::fs::read_to_string(out.join("report.html")).expect("report");
-    (pairs, report, words)
-}
-
-/// Beads whose file says RAS but holds LPS were accepted in green in 6 of 7 frames, with the DRR turned by 180°, and the specimen was tied
-/// to the room by that pose; the scene's own spheres stood elsewhere, and nobody compared.
-#[test]
-fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
-    if !mock_is_built() {
-        return;
-    }
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (pairs, report, words) = live(folder.path(), &["--no-robot"], |lab| {
-        edit(lab, "beads.mrk.json", |beads| beads["markups"][0]["coordinateSystem"] = value!("RAS"));
-        edit(lab, "session.json", |session| session["world_from_lps"] = Value::Null);
-    });
-    for pair in &pairs {
-        let reason = pair["reason"].as_str().unwrap_or_default();
-        assert!(pair["status"] != "accepted" && pair["pose_source"] != "beads", "{pair}");
-        assert!(
-            reason.contains("RAS and LPS were swapped") && reason.contains("set its coordinateSystem to \"LPS\""),
-            "{reason}"
-        );
-        // The robot's line is not there either, and the scene has a robot.
-        assert_eq!(pair["robot_source"], "scene");
-    }
-    assert!(words.contains("0 accepted") && words.contains("check: beads and spheres"), "{words}");
-    // Not one pose is what the session was for.
-    assert!(words.contains("lost: not one of 3 frames gave a pose by its beads") && words.contains("exit status: 3"), "{words}");
-    assert!(report.contains("not one of 3 frames gave a pose by its beads"));
-    let again = replay_words(&folder.path().join("lab/session/session.mcap"), &folder.path().join("again"));
-    assert!(again.contains("lost in the session: not one of 3 frames gave a pose by its beads"), "{again}");
-    assert!(!words.contains("tied to the room"), "{words}");
-    let robot = "robot drawn as in the scene file: no telemetry";
-    assert!(
-        report.contains(robot) && words.contains(robot) && words.contains("with the robot drawn as in the scene file"),
-        "{words}"
-    );
-}
-
-fn change_ct(lab: &Path, change: impl FnOnce(&mut [u8])) {
-    let mut bytes = Vec::new();
-    let path = lab.join("ct.nii.gz");
-    let file = std::fs::File::open(&path).expect("the CT");
-    flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
-    change(&mut bytes);
-    let mut packed = flate2::write::GzEncoder::new(std::fs::File::create(&path).expect("writable"), flate2::Compression::fast());
-    packed.write_all(&bytes).and_then(|()| packed.finish().map(drop)).expect("written");
-}
-
-/// Every pair by beads, two at least, is amber because of the image; how many.
-fn assert_amber(pairs: &[Value], because: &str) -> usize {
-    let by_beads = || pairs.iter().filter(|pair| pair["pose_source"] == "beads");
-    for pair in by_beads() {
-        assert_eq!(pair["status"], "accepted_image_disagrees", "{}: {}", pair["frame"], pair["null"]["local_ncc"]);
-        let reason = pair["reason"].as_str().unwrap_or_default();
-        assert!(reason.contains("image disagrees") && reason.contains(because), "{reason}");
-    }
-    let amber = by_beads().count();
-    assert!(amber >= 2, "{amber} of {}", pairs.len());
-    amber
-}
-
-/// Beads, spheres and robot right, only the voxels in a mirror: every frame was accepted in green.
-#[test]
-fn a_ct_in_a_mirror_is_amber_in_a_live_session() {
-    if !mock_is_built() {
-        return;
-    }
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (pairs, ..) = live(folder.path(), &[], |lab| {
-        change_ct(lab, |bytes| {
-            let half = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
-            // NIfTI-1: dim at 42, bits of a voxel at 72, voxels from 352 on. Slices in reverse: head for foot.
-            let [columns, rows, slices] = [42, 44, 46].map(|at| half(at) as usize);
-            let slice = columns * rows * half(72) as usize / 8;
-            let voxels = bytes[352..352 + slices * slice].to_vec();
-            bytes[352..]
-                .chunks_exact_mut(slice)
-                .zip(voxels.chunks_exact(slice).rev())
-                .for_each(|(to, from)| to.copy_from_slice(from));
-        });
-    });
-    assert_amber(&pairs, "are CT and beads turned or mirrored against each other?");
-}
-
-/// A CT that lies 10 mm too high under beads that are right: the beads agree, the image does not.
-#[test]
-fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
-    if !mock_is_built() {
-        return;
-    }
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (pairs, report, words) = live(folder.path(), &[], |lab| {
-        change_ct(lab, |bytes| {
-            // Row z of the sform, its offset.
-            let at = 312 + 12;
-            let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
-            bytes[at..at + 4].copy_from_slice(&(number + 10.0).to_le_bytes());
-        });
-    });
-    let amber = assert_amber(&pairs, "scores prefer");
-    assert!(words.contains(&format!(" 0 accepted, {amber} accepted but the image disagrees")), "{words}");
-    assert!(report.contains("class=\"badge caution\">accepted, image disagrees") && !report.contains("badge good"));
-}
-
-/// A detector 22 mm farther away than the frame's own tag says: the beads fit as well, 14 mm deeper. (From 3 % on they tell by themselves.)
-#[test]
-fn a_detector_that_the_frame_puts_elsewhere_is_amber_in_a_live_session() {
-    if !mock_is_built() {
-        return;
-    }
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (pairs, report, words) = live(folder.path(), &[], |lab| {
-        edit(lab, "carm.json", |carm| carm["offsets"]["source_to_detector_mm"] = value!(22.0));
-    });
-    assert!(pairs.len() >= 2, "{words}");
-    let mut amber = 0;
-    for pair in &pairs {
-        let status = pair["status"].as_str().unwrap_or_default();
-        assert!(["accepted_telemetry_disagrees", "accepted_image_disagrees", "refused"].contains(&status), "{pair}");
-        assert!(pair["flags"].to_string().contains("focal spot to detector"), "{pair}");
-        amber += usize::from(status.starts_with("accepted"));
-    }
-    assert!(amber >= 2, "{words}");
-    assert!(words.contains(" 0 accepted") && !report.contains("badge good"), "{words}");
 }

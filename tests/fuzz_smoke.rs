@@ -182,7 +182,7 @@ fn grown() -> BTreeMap<String, Vec<Vec<u8>>> {
 
 /// At most this many of what is grown for a target are run, evenly spread, and no more once its time is over.
 const MOST_GROWN: usize = 300;
-/// All thirteen together within seven seconds.
+/// All thirteen together within four seconds.
 const GROWN_S: f64 = 0.3;
 /// What takes so long hangs.
 const HANG_S: f64 = 20.0;

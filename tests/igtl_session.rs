@@ -77,7 +77,10 @@ fn hear() -> Option<Heard> {
         told.lock().expect("not poisoned").iter().any(|told| told.device == device && is_it(told))
     };
     // On a crowded machine the newest frames are developed first, and of older ones only the lines are told.
-    let enough = eventually(HANG_S, || (has("Frame", is_refused) && has("Drr", |_| true)).then_some(()));
+    let enough = eventually(HANG_S, || {
+        (has("Frame", is_refused) && has("Drr", |_| true) && (has("AcquiredUnplaced", |_| true) || live.pairs() == 8))
+            .then_some(())
+    });
     assert!(enough.is_some(), "no refused frame, or no DRR: {}", live.stderr());
     if let Some(peer) = &peer {
         assert!(eventually(HANG_S, || peer.has_enough().then_some(())).is_some(), "{} {}", peer.complaints(), live.stderr());

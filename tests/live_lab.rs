@@ -318,20 +318,29 @@ impl Live {
 
     /// Pairs in `pairs.json`.
     pub fn pairs(&self) -> usize {
-        let bytes = std::fs::read(self.out.join("pairs.json")).unwrap_or_default();
-        let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
-        value["pairs"].as_array().map_or(0, Vec::len)
+        pairs_in(&self.out)
     }
 
     pub fn heard(&self) -> Heard {
         Heard::of(&self.log)
     }
+
+    /// Whether a session in a lab that makes no exposure, which has ended with `code`, lost nothing but them.
+    pub fn lacks_exposures_alone(&self, code: Option<i32>) -> bool {
+        // Who reads what it prints lets go of it at its end.
+        assert!(eventually(HANG_S, || (Arc::strong_count(&self.words[0]) == 1).then_some(())).is_some(), "it prints on");
+        let (words, mut lost) = (self.stdout(), 0);
+        let is_that = |line: &str| line.contains("told of no exposure");
+        let alone = words.lines().filter(|line| line.contains("lost: ")).inspect(|_| lost += 1).all(is_that);
+        code == Some(3) && alone && lost == 1
+    }
 }
 
-/// Whether a session in a lab that makes no exposure ended with that loss alone, by what it printed.
-pub fn lacks_exposures_alone(code: Option<i32>, stdout: &str) -> bool {
-    let lost: Vec<&str> = stdout.lines().filter(|line| line.contains("lost: ")).collect();
-    code == Some(3) && lost.len() == 1 && lost[0].contains("told of no exposure")
+/// Pairs in the `pairs.json` of a session's folder.
+pub fn pairs_in(out: &Path) -> usize {
+    let bytes = std::fs::read(out.join("pairs.json")).unwrap_or_default();
+    let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+    value["pairs"].as_array().map_or(0, Vec::len)
 }
 
 /// What a log holds.

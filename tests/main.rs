@@ -253,6 +253,7 @@ mod crosscheck_image;
 mod crosscheck_robot;
 mod check_ended;
 mod crosscheck_session;
+mod crosscheck_live;
 mod crosscheck_rehearsal;
 mod crosscheck_metal;
 mod lab_truth;

@@ -130,9 +130,9 @@ fn a_training_that_no_longer_gets_better_stops_and_keeps_its_best() {
     assert_eq!(trained.card.held_out.get("nmse").copied(), kept);
     assert_eq!(trained.held_out.map(|figures| figures.nmse()), kept);
     // A specimen that is to be unknown chooses nothing.
-    let recipe = Recipe { epochs: 6, patience: Some(2), rule: wild(), ..short() };
+    let recipe = Recipe { epochs: 12, patience: Some(2), rule: wild(), ..short() };
     let trained = run(&options(folder.path(), "specimen", recipe));
-    assert_eq!((trained.end, trained.epoch, trained.history.len()), (TrainingEnd::Complete, 6, 6));
+    assert_eq!((trained.end, trained.epoch, trained.history.len()), (TrainingEnd::Complete, 12, 12));
 }
 
 #[test]

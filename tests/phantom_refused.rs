@@ -105,7 +105,7 @@ fn shadows_at_random_and_too_few_beads_give_no_layout() {
     let accepted = |lab: Lab| lab.measured(&lab.all()).is_ok();
     let none = |seed: u64| Lab { beads: Vec::new(), false_shadows: 12, ..Lab::new(seed) };
     let four = |seed: u64| Lab { beads: beads(4, [100.0; 3], seed), ..Lab::new(seed) };
-    let found: Vec<u64> = (80..90u64).into_par_iter().filter(|seed| accepted(none(*seed)) || accepted(four(*seed))).collect();
+    let found: Vec<u64> = (80..100u64).into_par_iter().filter(|seed| accepted(none(*seed)) || accepted(four(*seed))).collect();
     assert!(found.is_empty(), "{found:?}");
     // Control: with ten beads among them the same shots are.
     assert!((80..84u64).into_par_iter().all(|seed| accepted(Lab { false_shadows: 12, ..Lab::new(seed) })));
@@ -143,8 +143,8 @@ fn an_arm_that_sags_unknown_gives_the_shape_and_says_how_well_the_scale() {
         let compared = Compared::new(&phantom, &lab.beads);
         [compared.shape_mm, compared.larger_by / phantom.scale.sigma, phantom.scale.sigma]
     };
-    let runs: Vec<[f64; 3]> = (120..128u64).into_par_iter().map(of).collect();
-    assert_eq!(runs.len(), 8);
+    let runs: Vec<[f64; 3]> = (120..132u64).into_par_iter().map(of).collect();
+    assert_eq!(runs.len(), 12);
     assert!(runs.iter().all(|[shape_mm, times, sigma]| *shape_mm < 0.2 && times.abs() < 3.5 && *sigma < 0.05), "{runs:.3?}");
 }
 

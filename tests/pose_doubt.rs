@@ -115,6 +115,7 @@ fn a_k_that_is_far_off_is_named() {
 /// Beads that K contradicts most were left out as displaced, and what was left fitted: accepted, centimetres off, without a word.
 #[test]
 fn beads_that_another_k_explains_are_not_just_left_out() {
+    const LEFT_OUT: &str = "those that were left out as displaced among them";
     let (mut cases, mut told, mut left_out) = (0, 0, 0);
     for seed in 0..24 {
         let (view, mut layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(11, 0.75, seed));
@@ -130,9 +131,13 @@ fn beads_that_another_k_explains_are_not_just_left_out() {
             let plain = pose.is_accepted() && pose.doubt.is_none();
             let off_px = if plain { landmark_error_px(&pose, &view) } else { 0.0 };
             assert!(off_px < 2.0, "seed {seed}: accepted {off_px} px off, {:?}", pose.cautions);
-            left_out += usize::from(pose.doubt.as_ref().is_some_and(|doubt| doubt.contains("left out as displaced among them")));
             told += usize::from(!plain);
             cases += 1;
+        }
+        // Off by so little that most beads fit all the same.
+        for off in [0.93, 0.95, 0.97, 1.03, 1.05, 1.07] {
+            let pose = with(Intrinsics { fx: off * k.fx, fy: off * k.fy, cx: k.cx + 60.0, ..k });
+            left_out += usize::from(pose.doubt.as_ref().is_some_and(|doubt| doubt.contains(LEFT_OUT)));
         }
         let right = with(k);
         assert!(right.is_accepted() && right.doubt.is_none(), "seed {seed}, the control: {:?} {:?}", right.reason, right.doubt);

@@ -11,7 +11,7 @@ use serde_json::Value;
 use sidecarm::record::{read_log, topic};
 use sidecarm::time::host_now_us;
 
-use crate::live_lab::{HANG_S, Heard, Lab, Signal, copies, deliver, eventually, quiet_lab};
+use crate::live_lab::{HANG_S, Heard, Lab, Signal, copies, deliver, eventually, pairs_in, quiet_lab};
 use crate::log_lab::replay;
 
 /// Frames of each session: one before the fault, the one that it befalls, and one after it.
@@ -95,9 +95,7 @@ impl Broken {
     }
 
     fn pairs(&self) -> usize {
-        let bytes = std::fs::read(self.out.join("pairs.json")).unwrap_or_default();
-        let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
-        value["pairs"].as_array().map_or(0, Vec::len)
+        pairs_in(&self.out)
     }
 
     /// Numbers of the frames whose pose is in the log.

@@ -146,12 +146,12 @@ fn the_same_picture_exported_again_is_said_to_be_a_copy() {
             _ => export_as_it_is(path, &exported),
         });
         if count == 3 {
-            export(path, &exported.join("again.dcm"), "2.25.987654321", &[]);
+            until_read(live, || export(path, &exported.join("again.dcm"), "2.25.987654321", &[]));
         }
         if count == 4 {
             let kept = lab.kit.join("kept.dcm");
             archive(path, &kept);
-            std::fs::rename(kept, exported.join("kept.dcm")).expect("renamed");
+            until_read(live, || std::fs::rename(kept, exported.join("kept.dcm")).expect("renamed"));
         }
     });
     assert!(matches!(code, Some(0 | 3)), "{}", live.stderr());
@@ -223,13 +223,14 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
 fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
     const FRAMES: usize = 4;
     let frames = FRAMES.to_string();
+    // Exposures eight seconds apart: all that is exported of one is read before the next, and arrival tells them.
     let Some((lab, exported, mut live)) = exporting(&["--duration-s", "56", "--exposures", &frames]) else { return };
     let code = exported_until(&lab, &mut live, 2 * FRAMES + 1, |live, count, path| {
         until_read(live, || export(path, &exported.join(format!("preview-{count}.dcm")), &format!("2.25.77{count}"), &TIMES));
         until_read(live, || export_as_it_is(path, &exported));
         if count == 2 {
             // A third time: the copy of the file, and no reason to take the first for the copy of this one.
-            export(path, &exported.join("again.dcm"), "2.25.987654321", &[]);
+            until_read(live, || export(path, &exported.join("again.dcm"), "2.25.987654321", &[]));
         }
     });
     assert!(matches!(code, Some(0 | 3)), "{}", live.stderr());
@@ -240,7 +241,7 @@ fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
     for frame in &frames {
         assert!(frame["binding"] != "none" && frame["robot_source"] == "sensed", "{frame:#}");
     }
-    // Each names a frame that has an exposure, which came after all of them but the last.
+    // Each names a frame that has an exposure, which came after it but for the third export of one.
     let numbers: BTreeSet<u64> = frames.iter().filter_map(|frame| frame["number"].as_u64()).collect();
     assert!(copies.iter().all(|copy| copy_of(copy).is_some_and(|of| numbers.contains(&of))), "{numbers:?} {copies:#?}");
     let first = copies.iter().filter(|copy| copy_of(copy) > copy["number"].as_u64());

@@ -7,7 +7,8 @@ use std::path::Path;
 use serde_json::{Value, json};
 use sidecarm::record::{LogEntry, topic};
 
-use crate::crosscheck_session::{edit, live};
+use crate::crosscheck_live::live;
+use crate::crosscheck_session::edit;
 use crate::log_lab::entries;
 use crate::scene_support::tell_costs;
 use crate::session_demo::mock_is_built;

@@ -9,7 +9,7 @@ use sidecarm::foreign::ForeignReader;
 use sidecarm::time::host_now_us;
 
 use crate::acquire_watch::frame_bytes;
-use crate::live_lab::{HANG_S, Live, Signal, copies, eventually, lacks_exposures_alone, quiet_lab};
+use crate::live_lab::{HANG_S, Live, Signal, copies, eventually, quiet_lab};
 
 /// Frames in folders that were there, that came, and that went again: all are the session's, each once.
 #[test]
@@ -46,7 +46,7 @@ fn what_comes_into_folders_below_is_read_where_the_session_says_so() {
     live.signalled(Signal::INT);
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
     let words = live.stdout() + &live.stderr();
-    assert!(lacks_exposures_alone(status.code(), &live.stdout()) && live.heard().frames.len() == 4, "{words}");
+    assert!(live.lacks_exposures_alone(status.code()) && live.heard().frames.len() == 4, "{words}");
     // Folders may be named after patients.
     assert!(!words.contains("there before") && !live.report().contains("there before"), "{words}");
 }

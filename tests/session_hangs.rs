@@ -7,7 +7,7 @@ use std::path::Path;
 use sidecarm::record::{read_log, topic};
 use sidecarm::time::host_now_us;
 
-use crate::live_lab::{HANG_S, Lab, Live, Signal, copies, deliver, eventually, lacks_exposures_alone, quiet_lab};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, copies, deliver, eventually, quiet_lab};
 
 /// A part of a session.
 struct Part {
@@ -93,7 +93,7 @@ fn a_part_that_hangs_is_said_once_while_all_else_goes_on_and_then_its_frame_is_f
     let code = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr())).code();
 
     let (words, report, heard) = (live.stderr(), live.report(), live.heard());
-    assert!(lacks_exposures_alone(code, &live.stdout()), "{code:?} {} {words}", live.stdout());
+    assert!(live.lacks_exposures_alone(code), "{code:?} {} {words}", live.stdout());
     assert!(heard.end_us.is_some() && heard.losses.is_empty(), "{:?} {words}", heard.losses);
     let missing = heard.missing(&lab.sent(), live.recording_us, signal_us);
     assert!(missing.sent > 500 && missing.lost == 0, "{missing:?}");

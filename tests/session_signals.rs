@@ -9,7 +9,7 @@ use serde_json::Value;
 use sidecarm::record::{LogEntry, LogReader, topic};
 use sidecarm::time::Stopwatch;
 
-use crate::live_lab::{HANG_S, Live, Signal, copies, deliver, eventually, lacks_exposures_alone, many_images, quiet_lab};
+use crate::live_lab::{HANG_S, Live, Signal, copies, deliver, eventually, many_images, quiet_lab};
 
 /// The bar, to which `scripts/evaluate burst` holds a session on a machine that does nothing else.
 const HEARD_ALONE_MS: f64 = 100.0;
@@ -183,7 +183,7 @@ fn every_signal_ends_the_session_in_order() {
         assert!(heard_ms <= HEARD_MS, "{signal:?} is heard after {heard_ms:.0} ms, {HEARD_MS} allowed: {}", live.stderr());
         let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("{signal:?}: still there: {}", live.stderr()));
         let words = live.stderr();
-        assert!(lacks_exposures_alone(status.code(), &live.stdout()), "{signal:?}: {words} {}", live.stdout());
+        assert!(live.lacks_exposures_alone(status.code()), "{signal:?}: {words} {}", live.stdout());
         assert!(live.report().contains("</html>"), "{signal:?}: no report");
         let heard = live.heard();
         assert!(heard.end_us.is_some_and(|end_us| end_us >= signal_us), "{signal:?}: no end");

@@ -9,12 +9,14 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::Duration;
 
+use dicom_core::{DataElement, PrimitiveValue, VR};
+use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
 use sidecarm::image::{Image, sha256_bytes, write_tiff_f32};
 
 use crate::acquire_watch::age;
 use crate::calibrate_session::write_png16;
-use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, lacks_exposures_alone, quiet_lab};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, quiet_lab};
 
 /// How a frame gets into the watched folder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +88,8 @@ fn what_is_being_written_at_the_end_is_waited_for_or_said() {
         let words = live.stdout() + &live.stderr();
         let heard = live.heard();
         assert_eq!((status.code(), heard.frames.len()), (Some(3), usize::from(completes)), "{words}");
-        assert_eq!(lacks_exposures_alone(status.code(), &live.stdout()), completes, "{words}");
+        assert_eq!(live.lacks_exposures_alone(status.code()), completes, "{words}");
+        assert!(live.stdout().contains("lost: "), "{words}");
         assert_eq!(live.report().contains("the file "), !completes, "{words}");
         assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
     }
@@ -140,7 +143,7 @@ fn a_cut_file_that_is_completed_later_is_no_loss() {
     let heard = live.heard();
     let all = rasters.iter().map(|(_, whole)| whole).chain([&whole]);
     let hashes: BTreeSet<String> = all.map(|bytes| sha256_bytes(bytes)).collect();
-    assert!(lacks_exposures_alone(status.code(), &live.stdout()) && heard.images == 3, "each comes once: {words}");
+    assert!(live.lacks_exposures_alone(status.code()) && heard.images == 3, "each comes once: {words}");
     assert_eq!(heard.frames, hashes, "and as it was when it was whole: {words}");
     assert!(live.report().contains("completed after all"), "{words}");
     assert!(live.stdout().contains("1 x unfinished frame: frame-900: the file has been completed after all"), "{words}");
@@ -210,4 +213,44 @@ fn a_frame_that_is_not_finished_is_waited_for_or_taken_back() {
 
 fn said(pair: &Value) -> String {
     pair["reason"].as_str().unwrap_or_default().to_owned()
+}
+
+/// The picture that a console was still writing over, in a file as large as before, kept the exposure, and the whole one got none.
+#[test]
+fn a_file_that_is_written_anew_for_the_same_exposure_replaces_its_picture() {
+    let Some((lab, frame, folder)) = quiet_lab("60") else { return };
+    let lab = lab.without_ct();
+    let path = lab.frames().join("frame.dcm");
+    // The frame with another pixel, and with another time of its exposure.
+    let write = |first: u16, time: &str| {
+        let mut object = dicom_object::open_file(&frame).expect("a frame");
+        let mut values = object.element(tags::PIXEL_DATA).expect("pixels").to_multi_int::<u16>().expect("words");
+        values[0] = first;
+        object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+        object.put(DataElement::new(tags::ACQUISITION_TIME, VR::TM, PrimitiveValue::from(time)));
+        let whole = folder.path().join("whole.dcm");
+        object.write_to_file(&whole).expect("written");
+        std::fs::rename(whole, &path).expect("renamed");
+    };
+    let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+    for (count, first, time) in [(1, 1, "101112.250000"), (2, 2, "101112.250000"), (3, 3, "101112.750000"), (4, 4, "101113")] {
+        write(first, time);
+        let read = eventually(HANG_S, || (live.pairs() == count).then_some(()));
+        assert!(read.is_some(), "{} of {count}: {}", live.pairs(), live.stderr());
+    }
+    live.signalled(Signal::INT);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let words = live.stdout() + &live.stderr();
+    assert!(live.lacks_exposures_alone(status.code()), "{words}");
+    let replaced = "frame 2: the file of frame 1 was rewritten with a picture of the same exposure, which replaces it";
+    assert!(words.contains(replaced), "{words}");
+    // Another time is another exposure, whatever the file is called.
+    for (number, before) in [(3, 2), (4, 3)] {
+        let other = format!("frame {number}: its file was rewritten; an earlier version of it was frame {before}");
+        assert!(words.contains(&other), "{words}");
+    }
+    let pairs = std::fs::read(live.out.join("pairs.json")).expect("pairs");
+    let pairs: Value = serde_json::from_slice(&pairs).expect("JSON");
+    let of_first = pairs["pairs"].as_array().expect("a list").iter().find(|pair| pair["number"] == 1).expect("the first");
+    assert!(of_first["flags"].to_string().contains("frame 2 is the whole picture"), "{of_first:#}");
 }

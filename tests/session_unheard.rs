@@ -4,9 +4,9 @@
 use std::process::{Command, Stdio};
 
 use rustix::process::{Pid, kill_process};
-use serde_json::{Value, json};
+use serde_json::json;
 
-use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, pairs_in};
 
 /// The writing end of a pipe that nobody reads.
 fn closed() -> Stdio {
@@ -18,16 +18,12 @@ fn closed() -> Stdio {
 /// A terminal that is closed, `| head`, a full disk under a redirection: the session ended with whoever listened.
 #[test]
 fn a_session_goes_on_when_nobody_listens_any_more() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--exposures", "3", "--faults", "none"]) else { return };
-    let lab = lab.without_ct();
+    let Some(lab) = Lab::start_without_ct(&["--duration-s", "8", "--exposures", "3", "--faults", "none"]) else { return };
     let out = lab.kit.with_file_name("session");
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
     command.arg("live").arg(lab.kit.join("session.json")).arg("--out").arg(&out).args(["--headless", "--include-existing"]);
     let mut live = command.stdin(Stdio::null()).stdout(closed()).stderr(closed()).spawn().expect("the program starts");
-    let pairs = || {
-        let pairs: Value = serde_json::from_slice(&std::fs::read(out.join("pairs.json")).unwrap_or_default()).unwrap_or_default();
-        pairs["pairs"].as_array().map_or(0, Vec::len)
-    };
+    let pairs = || pairs_in(&out);
     assert!(eventually(HANG_S, || (pairs() >= 3).then_some(())).is_some(), "{} pairs: {:?}", pairs(), live.try_wait());
     kill_process(Pid::from_child(&live), Signal::INT).expect("it goes on");
     let ended = eventually(HANG_S, || live.try_wait().expect("a child can be asked")).expect("it ends");

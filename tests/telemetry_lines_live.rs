@@ -224,8 +224,7 @@ fn bad_lines_are_counted_shown_and_kept_and_what_cannot_be_known_is_said() {
 
 #[test]
 fn a_check_listens_to_lines_and_says_what_is_wrong_with_an_adapter() {
-    let Some(lab) = Lab::start(&["--kit-only", "--exposures", "0"]) else { return };
-    let lab = lab.without_ct();
+    let Some(lab) = Lab::start_without_ct(&["--kit-only", "--exposures", "0"]) else { return };
     let adapter = lab.kit.join("robot-lines.json");
     let port = free_udp_port();
     let session = lab.session("lines.json", |session| {

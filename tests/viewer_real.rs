@@ -12,7 +12,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use sidecarm::image::{Image, write_png_rgb};
 
-use crate::live_lab::{HANG_S, Lab, Live, Running, Signal, deliver, eventually, lacks_exposures_alone, quiet_lab};
+use crate::live_lab::{HANG_S, Lab, Live, Running, Signal, deliver, eventually, quiet_lab};
 use crate::log_lab::recorded;
 
 /// A screen without a monitor.
@@ -133,7 +133,7 @@ fn a_live_window_shows_the_exposure_and_goes_when_it_is_told_to() {
     assert!(shown.is_some(), "no picture: {:?} after {before}: {}", screen.look(), live.stderr());
     live.program.signal(Signal::TERM);
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
-    assert!(lacks_exposures_alone(status.code(), &live.stdout()), "{} {}", live.stderr(), live.stdout());
+    assert!(live.lacks_exposures_alone(status.code()), "{} {}", live.stderr(), live.stdout());
     assert!(live.report().contains("</html>") && live.pairs() == 1, "{}", live.stderr());
 }
 

@@ -90,8 +90,8 @@ pub(super) fn judge(tags: &FrameTags, traces: Traces, rescale_negative: bool, de
     let larger_is_more_signal = match declared_direction(tags, declared) {
         // Whoever says what the values mean says it of the values as they are.
         Some(more) => {
-            let (words, way) = (declared.unwrap_or(domain), if more { "more" } else { "fewer" });
-            evidence.push(format!("declared {words}, and no attribute states a direction: larger values mean {way} X-rays"));
+            let way = if more { "more" } else { "fewer" };
+            evidence.push(format!("declared {domain}, and no attribute states a direction: larger values mean {way} X-rays"));
             more
         }
         None => direction(tags, rescale_negative, &mut evidence, &mut notes),

@@ -8,7 +8,7 @@ use tiff::tags::Tag;
 use super::{Fault, FrameTags, Raw, Settings, check_image, check_total, whole};
 use crate::foreign::Limits;
 use crate::geometry::{ConsoleGeometry, Flip};
-use crate::image::Image;
+use crate::image::{Image, WHITE_IS_ZERO};
 
 /// Reads a grey PNG.
 pub(super) fn read_png(bytes: &[u8], settings: &Settings, limits: &Limits) -> Result<Raw, Fault> {
@@ -81,29 +81,27 @@ pub(super) fn read_tiff(
     Ok(())
 }
 
-/// TIFF 6.0, tag 262: zero is shown white. The decoder turns such values round, integers about the ends of their type and floats about 1/2.
-const WHITE_IS_ZERO: u16 = 0;
-
-/// Says what the decoder did to values whose zero is white, and undoes it where the numbers mean something by themselves: as with
-/// MONOCHROME1 of DICOM, grey levels and signals stand the other way round than what is stored, logarithms as they are stored.
+/// Says what the decoder did to values whose zero is white: it turned them round, integers about the ends of their type and floats about 1/2.
+/// That is undone where the numbers mean something by themselves: as with MONOCHROME1 of DICOM, grey levels and signals stand the other way
+/// round than what is stored, logarithms as they are stored.
 fn from_white(raw: &mut Raw) {
-    let stored_ends = raw.scale_ends.map(|[low, high]| f64::from(low) + f64::from(high));
-    let (Some(ends), false) = (stored_ends, raw.domain == super::Domain::Log) else {
-        // The smallest step that survives the way there and back.
-        let words = match stored_ends {
-            Some(_) => "the stored values were taken as they are".to_owned(),
-            None => format!("the stored values were taken as they are, good to {:.0e}", f32::EPSILON / 2.0),
-        };
-        let about = stored_ends.unwrap_or(1.0);
-        raw.pixels.pixels.iter_mut().for_each(|value| *value = (about - f64::from(*value)) as f32);
-        raw.altered.push(format!("TIFF photometric interpretation (tag 262) is 0, white is zero: {words}"));
-        return;
-    };
-    raw.turned_about = Some(ends);
-    raw.altered.push(format!(
-        "TIFF photometric interpretation (tag 262) is 0, white is zero: turned round about 0 and {ends}, the ends of what can be stored; \
-         nothing says at which value there is no signal"
-    ));
+    const SAID: &str = "TIFF photometric interpretation (tag 262) is 0, white is zero";
+    let ends = raw.scale_ends.map(|ends| ends.map(f64::from));
+    let about = ends.map_or(1.0, |[low, high]| low + high);
+    raw.altered.push(match ends {
+        Some([low, high]) if raw.domain != super::Domain::Log => {
+            raw.turned_about = Some(about);
+            format!(
+                "{SAID}: turned round about {low} and {high}, the ends of what can be stored; nothing says at which value there is no signal"
+            )
+        }
+        _ => {
+            raw.pixels.pixels.iter_mut().for_each(|value| *value = (about - f64::from(*value)) as f32);
+            // The smallest step of a float that survives the way there and back.
+            let good_to = if ends.is_none() { format!(", good to {:.0e}", f32::EPSILON / 2.0) } else { String::new() };
+            format!("{SAID}: the stored values were taken as they are{good_to}")
+        }
+    });
 }
 
 /// The picture that the file asks to be shown, of pixels stored in this order (TIFF 6.0, tag 274), and what was done for it: a picture's

@@ -1,6 +1,6 @@
 //! From a frame to the shadows of spheres in it.
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -13,7 +13,7 @@ use super::profile::SHAPES;
 use super::several::{DISTURBING, MOST_MISFIT, distinct, disturbed_px, once_per_place, overlap, same};
 use super::window::Field;
 use crate::acquire::{Domain, Frame};
-use crate::geometry::Distortion;
+use crate::geometry::{Distortion, noise_through};
 use crate::image::Image;
 use crate::mask::fill;
 
@@ -70,12 +70,11 @@ impl Detection {
     #[must_use]
     pub fn straightened(&self, distortion: &Distortion) -> Self {
         let jacobian = distortion.jacobian(self.image_px);
-        let [uu, uv, vv] = self.noise_px2();
-        let covariance = jacobian * DMat2::from_cols_array(&[uu, uv, uv, vv]) * jacobian.transpose();
+        let [uu, uv, vv] = noise_through(jacobian, self.noise_px2());
         Self {
             image_px: distortion.undistorted(self.image_px),
-            sigma_px: (0.5 * (covariance.x_axis.x + covariance.y_axis.y)).sqrt(),
-            covariance_px2: covariance.to_cols_array_2d(),
+            sigma_px: (0.5 * (uu + vv)).sqrt(),
+            covariance_px2: [[uu, uv], [uv, vv]],
             radius_px: self.radius_px * jacobian.determinant().sqrt(),
             ..*self
         }

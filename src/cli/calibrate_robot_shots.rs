@@ -62,7 +62,6 @@ pub(super) fn read_shots(
         }
         (Some(tie), tracked) => Some(tie.world_from_lps.inverse() * tie.world_from_tracker * tracked?),
     };
-    let take = Taken { reporter };
     let (mut shots, mut frames) = (Vec::new(), Vec::new());
     for path in args.shots {
         if is_log(path) {
@@ -75,7 +74,7 @@ pub(super) fn read_shots(
                 let Some(shot) = found.get(&number) else { return };
                 said.iter().for_each(|words| reporter.warn("frame of a log", words));
                 let carrier = carrier(&shot.pose, shot.tracker_from_base);
-                taken.insert(number, take.shot(&shot.name, &frame, &shot.pose, shot.readings_deg, carrier));
+                taken.insert(number, shot_of((&shot.name, &shot.pose, shot.readings_deg, carrier), &frame, reporter));
             };
             let losses = logged_frames(path, &|number| found.contains_key(&number), &mut of_frame)?;
             losses.iter().for_each(|loss| reporter.note(format_args!("note: {loss}")));
@@ -94,30 +93,27 @@ pub(super) fn read_shots(
             frame = frame.oriented(console, pose.detector.as_ref().and_then(|detector| detector.size_px));
         }
         frames.push(row.image.clone());
-        shots.extend(take.shot(&name, &frame, &pose, row.control_angles_deg, carrier(&pose, row.tracker_from_base)));
+        let carrier = carrier(&pose, row.tracker_from_base);
+        shots.extend(shot_of((&name, &pose, row.control_angles_deg, carrier), &frame, reporter));
     }
     Ok((shots, frames))
 }
 
-struct Taken<'a> {
-    reporter: &'a Reporter,
-}
+/// What a shot is made of, but for the frame: its name, pose, readings in degrees, and `lps_from_carrier`, where that is known.
+type Told<'a> = (&'a str, &'a Pose, [f64; 5], Option<Rigid>);
 
-impl Taken<'_> {
-    /// A shot, or nothing but a word of why it is none.
-    fn shot(&self, name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], carrier: Option<Rigid>) -> Option<Shot> {
-        let shot = carrier.ok_or(NoShot::NotTracked).and_then(|carrier| Shot::of(name, frame, pose, readings_deg, carrier));
-        match shot {
-            Ok(shot) => {
-                if let Some(words) = &shot.doubt {
-                    self.reporter.warn("pose in doubt", format_args!("{name} is a shot, but its pose is in doubt: {words}"));
-                }
-                Some(shot)
+/// A shot, or nothing but a word of why it is none.
+fn shot_of((name, pose, readings_deg, carrier): Told, frame: &Frame, reporter: &Reporter) -> Option<Shot> {
+    match carrier.ok_or(NoShot::NotTracked).and_then(|carrier| Shot::of(name, frame, pose, readings_deg, carrier)) {
+        Ok(shot) => {
+            if let Some(words) = &shot.doubt {
+                reporter.warn("pose in doubt", format_args!("{name} is a shot, but its pose is in doubt: {words}"));
             }
-            Err(why) => {
-                self.reporter.note(format_args!("note: {name} is no shot: {why}"));
-                None
-            }
+            Some(shot)
+        }
+        Err(why) => {
+            reporter.note(format_args!("note: {name} is no shot: {why}"));
+            None
         }
     }
 }

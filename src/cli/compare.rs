@@ -97,23 +97,23 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     let mut frame = frame_aloud(&args.acquired, args.domain, reporter)?;
     let (stored_px, unmirrored) = (frame.size_px, frame.unmirrored);
     let mut window = PanelWindow::WHOLE;
+    let console = pose.as_ref().and_then(|pose| pose.console.as_ref());
     // The pose is that of the picture with the console's doing undone.
-    if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {
+    if let Some(console) = console {
         window = console.window(frame.size_px.map(|side| side as u32));
         frame = frame.oriented(console, pose.as_ref().and_then(|pose| pose.detector.as_ref()?.size_px));
     }
     if let Some(path) = &args.detector {
         frame = DetectorCalibration::apply_file(path, &frame, window)?;
-        let doubt = frame.correction.as_ref().and_then(|correction| correction.flood_doubt.as_ref());
-        doubt.into_iter().for_each(|doubt| reporter.warn("flood of another filter", doubt));
     }
+    let flood_doubt = frame.correction.as_ref().and_then(|correction| correction.flood_doubt.clone());
+    flood_doubt.iter().for_each(|doubt| reporter.warn("flood of another filter", doubt));
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_flags(&beside(&args.simulated, "valid.png"))?;
     let described = described(&args.simulated);
     if let (None, Some(share)) = (&valid, described["share_invalid"].as_f64().filter(|share| *share > 0.0)) {
         return Err(CompareCommandError::NoValidity { path: beside(&args.simulated, "valid.png"), percent: 100.0 * share });
     }
-    let console = pose.as_ref().and_then(|pose| pose.console.as_ref());
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let extra = extra.map(|mask| mask_as_compared(mask, stored_px, unmirrored, console));
     let (extra, mask_moved) = extra.map_or((None, None), |(mask, moved)| (Some(mask), moved));
@@ -162,7 +162,6 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         reporter.warn("not what was rendered", &doubt);
         compared.comparison.flags.push(doubt);
     }
-    let flood_doubt = frame.correction.as_ref().and_then(|correction| correction.flood_doubt.clone());
     compared.comparison.flags.extend(frame.altered.iter().cloned().chain(flood_doubt).chain(mask_moved));
     if frame.unmirrored {
         compared

@@ -63,17 +63,16 @@ pub(super) fn mask_as_compared(
     if [mask.width, mask.height] != stored_px {
         return (mask, None);
     }
-    let before = mask.clone();
-    let mut mask = mask;
+    let mut compared = mask.clone();
     if unmirrored {
-        let width = mask.width;
-        mask.pixels.chunks_exact_mut(width).for_each(<[bool]>::reverse);
+        compared.pixels.chunks_exact_mut(mask.width).for_each(<[bool]>::reverse);
     }
     if let Some(console) = console {
-        mask = console.orient(&mask, unmirrored);
+        compared = console.orient(&compared, unmirrored);
     }
-    let moved = mask != before;
-    (mask, moved.then(|| "the mask was turned as the frame was: it is taken as drawn over the frame as it is stored".to_owned()))
+    let words = "the mask was turned as the frame was: it is taken as drawn over the frame as it is stored";
+    let moved = (compared != mask).then(|| words.to_owned());
+    (compared, moved)
 }
 
 #[cfg(test)]

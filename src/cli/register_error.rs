@@ -42,14 +42,6 @@ pub enum RegisterError {
         /// How many.
         found: usize,
     },
-    /// One file under two names, or twice.
-    #[error("{path}: is the same frame as {first}: two views of it would count as two; give each once", path = path.display(), first = first.display())]
-    SameFrame {
-        /// The later one.
-        path: PathBuf,
-        /// The earlier one.
-        first: PathBuf,
-    },
     /// Priors and frames do not pair.
     #[error("{priors} priors are given for {frames} frames; give one --prior for each frame in its order, or none")]
     Priors {

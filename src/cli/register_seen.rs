@@ -61,7 +61,8 @@ pub(super) struct Seen {
     pub pitch_mm: Option<f64>,
     /// From the panel's axes to the frame's, about the beam.
     pub turn_rad: f64,
-    /// That the intrinsics' pixels are not those of the frame's header.
+    /// That the intrinsics' pixels are not those of the frame's header, for a frame of the size and place that the intrinsics are for: consoles
+    /// that bin or enlarge leave the header's as it was.
     pub off_pitch: Option<String>,
     /// What was done and assumed.
     pub notes: Vec<String>,

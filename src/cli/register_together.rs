@@ -1,13 +1,12 @@
 //! `sidecarm register FRAME… --together`: several frames of one bead set.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::read_aloud::frame_aloud;
 use super::register_args::{Given, RegisterArgs};
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
-use crate::image::check_writable;
+use crate::image::{check_writable, refuse_same_content};
 use crate::mask;
 use crate::pose::{BeadVerdict, SeveralViews, Together, ViewAlone, register_masked, register_together};
 use crate::reporter::Reporter;
@@ -22,6 +21,8 @@ const SIGMA_MM: f64 = 0.15;
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
     let outputs = Outputs::of(args);
+    // Of one picture two views would count as two.
+    refuse_same_content(&args.frames)?;
     let mut given = Given::read(args, &outputs.all())?;
     outputs.prepare()?;
     let mut assumed = 0;
@@ -30,14 +31,9 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         assumed += 1;
     }
     let (mut views, mut intrinsics_prior, mut size_px) = (Vec::new(), None, None);
-    // Of one picture two views would count as two.
-    let mut known: BTreeMap<String, &PathBuf> = BTreeMap::new();
     let progress = reporter.progress("registering frames", args.frames.len() as u64);
     for (number, path) in args.frames.iter().enumerate() {
         let stored = frame_aloud(path, args.domain, reporter)?;
-        if let Some(first) = known.insert(stored.sha256.clone(), path) {
-            return Err(RegisterError::SameFrame { path: path.clone(), first: first.clone() });
-        }
         let mut notes = stored.altered.clone();
         let console = match Console::of(args, &given, &stored, &mut notes)? {
             Ok(console) => console,

@@ -1,12 +1,17 @@
 //! Other tools' conventions, converted at import and export only.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
+
+use super::Rigid;
 
 /// NIfTI and Slicer RAS coordinates of a point in `lps`.
 #[must_use]
 pub fn ras_from_lps(p_in_lps: DVec3) -> DVec3 {
     DVec3::new(-p_in_lps.x, -p_in_lps.y, p_in_lps.z)
 }
+
+/// The same as a motion, half a turn about z: its own inverse.
+pub const RAS_FROM_LPS: Rigid = Rigid::rotation(DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0));
 
 /// `lps` coordinates of a point in RAS.
 #[must_use]
@@ -45,6 +50,8 @@ mod tests {
 
     #[test]
     fn ras_and_lps_differ_in_two_signs() {
-        assert_eq!(lps_from_ras(DVec3::new(1.0, 2.0, 3.0)), DVec3::new(-1.0, -2.0, 3.0));
+        let p_in_ras = DVec3::new(1.0, 2.0, 3.0);
+        assert_eq!(lps_from_ras(p_in_ras), DVec3::new(-1.0, -2.0, 3.0));
+        assert_eq!(RAS_FROM_LPS.transform_point(p_in_ras), lps_from_ras(p_in_ras));
     }
 }

@@ -71,7 +71,7 @@ pub fn terms(order: usize, x: DVec2) -> impl Iterator<Item = f64> {
 }
 
 /// Derivatives of [`terms`] by x and y.
-pub fn term_slopes(order: usize, x: DVec2) -> impl Iterator<Item = DVec2> {
+fn term_slopes(order: usize, x: DVec2) -> impl Iterator<Item = DVec2> {
     let power = |base: f64, n: usize| if n == 0 { 0.0 } else { n as f64 * base.powi(n as i32 - 1) };
     (0..=order).flat_map(move |degree| {
         (0..=degree).map(move |j| {
@@ -79,6 +79,23 @@ pub fn term_slopes(order: usize, x: DVec2) -> impl Iterator<Item = DVec2> {
             DVec2::new(power(x.x, i) * x.y.powi(j as i32), x.x.powi(i as i32) * power(x.y, j))
         })
     })
+}
+
+/// Derivative of the sum of [`terms`], each times its shift, px.
+#[must_use]
+pub fn shift_slopes(order: usize, x: DVec2, shift_px: &[DVec2]) -> DMat2 {
+    let zero = (DVec2::ZERO, DVec2::ZERO);
+    let (by_x, by_y) = term_slopes(order, x)
+        .zip(shift_px)
+        .fold(zero, |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
+    DMat2::from_cols(by_x, by_y)
+}
+
+/// Noise (uu, uv, vv) of a place that moves by `by` with one whose noise that is: J N Jᵀ.
+#[must_use]
+pub fn noise_through(by: DMat2, [uu, uv, vv]: [f64; 3]) -> [f64; 3] {
+    let noise = by * DMat2::from_cols_array(&[uu, uv, uv, vv]) * by.transpose();
+    [noise.x_axis.x, noise.y_axis.x, noise.y_axis.y]
 }
 
 /// From places in the frame as it is acquired to places without distortion, px.
@@ -167,12 +184,9 @@ impl Distortion {
     /// Derivative of [`Distortion::undistorted`]; its determinant is the area on the undistorted picture that one pixel shows.
     #[must_use]
     pub fn jacobian(&self, p_distorted: DVec2) -> DMat2 {
-        let zero = (DVec2::ZERO, DVec2::ZERO);
-        let (by_x, by_y) = term_slopes(self.order, self.polynomial_place(p_distorted))
-            .zip(&self.shift_px)
-            .fold(zero, |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
+        let slopes = shift_slopes(self.order, self.polynomial_place(p_distorted), &self.shift_px);
         let axes = self.axes_from_frame;
-        DMat2::IDENTITY + axes.transpose() * DMat2::from_cols(by_x, by_y) * axes * self.radius_px.recip()
+        DMat2::IDENTITY + axes.transpose() * slopes * axes * self.radius_px.recip()
     }
 
     /// Where the frame as it is acquired shows `p_undistorted`, by Newton steps to 1e-9 px.

@@ -34,8 +34,8 @@ pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
 pub use carm::{CarmCalibration, CarmCalibrationError, JointOffsets};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, homogeneous_rows, quarters_and_rest};
-pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
-pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, term_slopes, terms};
+pub use convert::{RAS_FROM_LPS, dicom_angles_deg, lps_from_ras, ras_from_lps};
+pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, noise_through, shift_slopes, term_count, terms};
 pub use intensifier::{
     AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView, same_angle,
 };

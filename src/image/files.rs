@@ -321,6 +321,9 @@ pub fn write_tiff_f32_lasting(path: &Path, lasting: Lasting, pages: &[Image<f32>
     })
 }
 
+/// TIFF 6.0, tag 262: zero is shown white.
+pub const WHITE_IS_ZERO: u16 = 0;
+
 /// Reads every page of a 32-bit float TIFF.
 ///
 /// # Errors
@@ -338,7 +341,7 @@ pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
             return Err(ImageFileError::Turned { path: path.to_owned(), found });
         }
         // The decoder would turn the values round.
-        if decoder.find_tag_unsigned::<u16>(tiff::tags::Tag::PhotometricInterpretation).map_err(damaged)? == Some(0) {
+        if decoder.find_tag_unsigned(tiff::tags::Tag::PhotometricInterpretation).map_err(damaged)? == Some(WHITE_IS_ZERO) {
             return Err(ImageFileError::WhiteIsZero { path: path.to_owned() });
         }
         let samples = decoder.read_image().map_err(damaged)?;

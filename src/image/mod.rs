@@ -9,9 +9,9 @@ mod vectors;
 mod video;
 
 pub use files::{
-    ImageFileError, Lasting, beside, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32, refuse_overwrite,
-    refuse_same_content, refuse_twice, sha256_bytes, sha256_file, write_atomically, write_lasting, write_png_rgb, write_tiff_f32,
-    write_tiff_f32_lasting,
+    ImageFileError, Lasting, WHITE_IS_ZERO, beside, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32,
+    refuse_overwrite, refuse_same_content, refuse_twice, sha256_bytes, sha256_file, write_atomically, write_lasting,
+    write_png_rgb, write_tiff_f32, write_tiff_f32_lasting,
 };
 
 pub use new_file::{NewFile, sync_folder};

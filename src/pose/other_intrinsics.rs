@@ -116,7 +116,8 @@ impl Case<'_> {
     fn other_intrinsics(&self, last: &Settled) -> Option<OtherK> {
         let k = self.request.intrinsics?;
         let start = &last.solution.camera_from_lps;
-        let mut most: Option<Rejected> = None;
+        // Of the beads that were used.
+        let mut not_needed: Option<Rejected> = None;
         let mut explains = |matches: &[Match], with_left_out: bool| {
             let (degrees, needed) = needed(matches.len())?;
             let fits = Fits::new(matches, start, &k)?;
@@ -125,7 +126,7 @@ impl Case<'_> {
             // A bead that moved leaves its residual to any K.
             let fits_all = with_left_out && fits.gain_sigmas2(degrees) > EXPLAINS_LEFT_OUT;
             if !(times > needed || fits_all) {
-                most.get_or_insert(Rejected::NotNeeded { times, needed });
+                not_needed.get_or_insert(Rejected::NotNeeded { times, needed });
                 return None;
             }
             Some((fits, in_sigmas > in_px))
@@ -137,7 +138,7 @@ impl Case<'_> {
             (all.len() > last.matches.len()).then(|| explains(&all, true)).flatten().map(|found| (found, all, true))
         });
         let Some(((fits, by_sigmas), matches, explains_left_out)) = found else {
-            if let Some(rejected) = most {
+            if let Some(rejected) = not_needed {
                 self.hear(Reading::OtherIntrinsics, None, start, rejected);
             }
             return None;

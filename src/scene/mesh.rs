@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::io::Read;
 use std::path::Path;
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::SceneError;
 use super::crossings::crossing_faces;
 use super::foreign_files::read_triangles;
 use super::model::Mesh;
-use crate::geometry::Rigid;
+use crate::geometry::{RAS_FROM_LPS, Rigid};
 use crate::reporter::Reporter;
 
 /// A closed surface in the frame of its file.
@@ -104,8 +104,7 @@ pub(super) fn stated_frame(path: &Path, reporter: &Reporter) -> Result<Rigid, Sc
     }
     let words = "its header says SPACE=RAS: x and y were negated to LPS; give lps_from_mesh where that is not meant";
     reporter.warn("mesh frame", format_args!("{}: {words}", path.display()));
-    // Both axes turn round: half a turn about z.
-    Ok(Rigid { rotation: DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0), ..Rigid::IDENTITY })
+    Ok(RAS_FROM_LPS)
 }
 
 /// Places a surface in the scene.

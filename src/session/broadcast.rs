@@ -8,7 +8,7 @@
 //! | `BaseToLps`, `TipToLps` | TRANSFORM | `lps_from_base`, `lps_from_tip` | each robot sample whose base is known |
 //! | `Tip` | POSITION | the drill's tip in LPS, mm, with its orientation | as `TipToLps` |
 //! | `TipCommandedToLps`, `TipCommanded` | | the same by angles that were commanded and not sensed | in place of those |
-//! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair of an accepted pose |
+//! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair of an accepted pose whose pixel pitch is known |
 //! | `AcquiredUnplaced`, `DrrUnplaced` | IMAGE | the same of a frame that lies nowhere: under a name of its own, which no transform moves | each other pair |
 //! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees, or it is in doubt |
 //! | `Sidecarm` | STATUS | the same in a code: 1 accepted, 2 refused or doubted, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
@@ -20,14 +20,12 @@
 use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use glam::DQuat;
-
 use super::SessionError;
 use super::developed::Developed;
 use super::posing::Posed;
 use super::servers::IgtlServer;
 use super::whereabouts::Whereabouts;
-use crate::geometry::Rigid;
+use crate::geometry::{RAS_FROM_LPS, Rigid};
 use crate::igtl::{Content, Message, Picture, Placement, Server, Status};
 use crate::image::Image;
 use crate::report::{PoseSource, Standing};
@@ -36,8 +34,6 @@ use crate::telemetry::{AngleSource, CarmSample, RobotSample, Sample};
 
 /// The name under which the status is sent.
 const DEVICE: &str = "Sidecarm";
-/// [`crate::geometry::ras_from_lps`] as a motion: a half turn about z.
-const RAS_FROM_LPS: Rigid = Rigid::rotation(DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0));
 
 /// Times of the newest exposure of which each was sent.
 struct Newest {
@@ -183,18 +179,4 @@ fn status_of(posed: &Posed, words: &str) -> Status {
         (false, _, _) => (Status::ERROR, Standing::Refused.short()),
     };
     Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }
-}
-
-#[cfg(test)]
-mod tests {
-    use glam::DVec3;
-
-    use super::*;
-    use crate::geometry::ras_from_lps;
-
-    #[test]
-    fn the_half_turn_takes_lps_to_ras() {
-        let p_in_lps = DVec3::new(1.0, 2.0, 3.0);
-        assert_eq!(RAS_FROM_LPS.transform_point(p_in_lps), ras_from_lps(p_in_lps));
-    }
 }

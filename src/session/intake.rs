@@ -64,7 +64,7 @@ pub(super) struct FrameIntake {
     /// Frames whose pixels may still be in memory.
     held: Vec<Weak<Frame>>,
     numbered: u32,
-    /// Of each content the number of its first image.
+    /// Of each content the numbers of its images, and what the first says of its exposure.
     numbers_of: HashMap<String, (Vec<u32>, FrameTags)>,
 }
 
@@ -257,7 +257,7 @@ impl FrameIntake {
                     };
                     self.say(kind, &words);
                 }
-                let unfinished = replaced.filter(|(.., is_replaced)| *is_replaced).map(|(numbers, ..)| numbers);
+                let replaces = replaced.filter(|(.., is_replaced)| *is_replaced).map(|(numbers, ..)| numbers);
                 let tags = frames.first().map(|frame| frame.tags.clone()).unwrap_or_default();
                 let sha256 = frames.first().map(|frame| frame.sha256.clone()).unwrap_or_default();
                 let mut numbers = Vec::with_capacity(frames.len());
@@ -270,7 +270,7 @@ impl FrameIntake {
                         }
                     };
                     numbers.push(number);
-                    let completes = unfinished.as_ref().and_then(|numbers| numbers.get(image).copied());
+                    let completes = replaces.as_ref().and_then(|numbers| numbers.get(image).copied());
                     let frame = Arc::new(Frame { number, completes, ..frame });
                     self.held.push(Arc::downgrade(&frame));
                     self.board.update(|state| state.frames_seen += 1);

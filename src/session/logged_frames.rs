@@ -22,8 +22,8 @@ use crate::reporter::Reporter;
 type TakeFrame<'a> = dyn FnMut(u32, Arc<Frame>, &[String]) + 'a;
 
 /// Gives the frames of `log` whose number is `wanted` to `take`, each once, in the order in which they were registered, with what the import had
-/// to say of it. A frame that was posed again, because its exposure became clear late, comes last and as it was then. Returns what of the log
-/// could not be read; frames of which no picture is in the log do not come.
+/// to say of it. A frame that was posed again, because its exposure became clear late, comes last and as it was then. All frames are imported, wanted
+/// or not, since any may tell of the others. Returns what of its inputs could not be read; frames of which no picture is in the log do not come.
 ///
 /// # Errors
 /// When the file cannot be read, is no log, or holds no session.
@@ -31,8 +31,14 @@ pub fn logged_frames(log: &Path, wanted: &dyn Fn(u32) -> bool, take: &mut TakeFr
     let no_session = || SessionError::NoSession { path: log.display().to_string(), detail: "no session setup".to_owned() };
     let mut recorded = Recorded::read(log)?;
     let setup = Arc::new(recorded.setup.take().ok_or_else(no_session)?);
+    // Pixels of frames that wait are put away there, as in the session; where there is no folder they stay in memory.
+    let parked = tempfile::tempdir().ok();
     // Beads are not looked for. What there was to say of the session was said when it was recorded.
-    let engine = || Engine::new(Arc::clone(&setup), None, Reporter::silent());
+    let engine = || {
+        let mut engine = Engine::new(Arc::clone(&setup), None, Reporter::silent());
+        parked.iter().for_each(|folder| engine.park_in(folder.path()));
+        engine
+    };
     let mut retaken = Retaken {
         engine: engine(),
         recorded: &recorded,
@@ -41,6 +47,7 @@ pub fn logged_frames(log: &Path, wanted: &dyn Fn(u32) -> bool, take: &mut TakeFr
         has_end: false,
         held: BTreeMap::new(),
         given: BTreeSet::new(),
+        losses: Vec::new(),
     };
     let mut inputs = LogInputs::default();
     for entry in LogReader::open(log)? {
@@ -55,7 +62,8 @@ pub fn logged_frames(log: &Path, wanted: &dyn Fn(u32) -> bool, take: &mut TakeFr
         }
     }
     retaken.end();
-    Ok(inputs.tolerance.losses())
+    let lost = std::mem::take(&mut retaken.losses);
+    Ok(inputs.tolerance.losses().into_iter().chain(lost).collect())
 }
 
 /// An engine that is given the inputs of a log again.
@@ -69,6 +77,8 @@ struct Retaken<'a> {
     /// Frames that were posed again, as they were last.
     held: BTreeMap<u32, Posed>,
     given: BTreeSet<u32>,
+    /// Pictures that were put away and did not come back.
+    losses: Vec<String>,
 }
 
 impl Retaken<'_> {
@@ -83,9 +93,13 @@ impl Retaken<'_> {
                 // Where the specimen lies in the room changes nothing of a picture.
                 Output::Job(job) => self.engine.registered(Registered::recorded(*job, Pose::default()), &mut sink),
                 Output::Posed(posed) => self.pass_on(*posed),
-                // The engine puts no pictures away, and keeps nothing for edits.
-                Output::PictureLost { .. } | Output::Edit(_) => {}
-                Output::Sample { .. }
+                Output::PictureLost { job, words } => {
+                    self.losses.push(format!("frame {}: {words}", job.number()));
+                    self.engine.registered(Registered::failed(*job, &words), &mut sink);
+                }
+                // The engine keeps nothing for edits.
+                Output::Edit(_)
+                | Output::Sample { .. }
                 | Output::Fault { .. }
                 | Output::Bound { .. }
                 | Output::BoundLate { .. }

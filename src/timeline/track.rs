@@ -183,9 +183,10 @@ impl<T> Track<T> {
             device_us,
             sequenced == Sequenced::Reset || self.entries.back().is_some_and(|e| e.epoch != epoch),
         );
-        if device_us.unsigned_abs() >= LARGEST_US || host_us.unsigned_abs() >= LARGEST_US {
+        let no_time = device_us.unsigned_abs() >= LARGEST_US;
+        if no_time || host_us.unsigned_abs() >= LARGEST_US {
             self.unusable += 1;
-            self.no_time += 1;
+            self.no_time += u64::from(no_time);
             return None;
         }
         self.last_host_us = Some(self.last_host_us.map_or(host_us, |last| last.max(host_us)));
@@ -211,7 +212,7 @@ impl<T> Track<T> {
     }
 
     /// Device time from where it is counted: of usual epochs it stays as it is, one that runs over goes on. A device that `began` anew may do so
-    /// in another epoch.
+    /// in another epoch, and one time alone may have been none.
     fn counted_from_origin(&mut self, device_us: u64, began: bool) -> i64 {
         let own_us = if device_us < LARGEST_US / 2 { 0 } else { device_us };
         let origin_us = *self.origin_us.get_or_insert(own_us);
@@ -219,7 +220,7 @@ impl<T> Track<T> {
             0 => i64::try_from(device_us).unwrap_or(i64::MAX),
             origin_us => device_us.wrapping_sub(origin_us).cast_signed(),
         };
-        if from(origin_us).unsigned_abs() >= LARGEST_US && (began || origin_us > 0) {
+        if from(origin_us).unsigned_abs() >= LARGEST_US && (began || origin_us > 0 && self.entries.len() <= 1) {
             self.origin_us = Some(own_us);
             return from(own_us);
         }

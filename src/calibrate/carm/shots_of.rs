@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use glam::{DMat2, DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use serde::Deserialize;
 
 use super::shot::{Shot, ShotBead};
 use crate::beads::DEFAULT_SIGMA_MM;
 use crate::calibrate::logged_poses::{LoggedPose, shots_of};
-use crate::geometry::{CarmJoints, PanelWindow, Rigid};
+use crate::geometry::{CarmJoints, PanelWindow, Rigid, noise_through};
 use crate::pose::{BeadResidual, Pose};
 use crate::record::RecordError;
 
@@ -76,15 +76,13 @@ impl Shot {
             |bead: &BeadResidual| pose.bodies.iter().any(|body| body.name == bead.body && body.lps_from_body != Rigid::IDENTITY);
         let bead = |bead: &BeadResidual| {
             let is_known = bead.used && !moved(bead) && bead.sigma_px.is_some_and(|sigma_px| sigma_px > 0.0);
-            let (image_px, [uu, uv, vv]) = bead.image_px.filter(|_| is_known).zip(bead.noise_px2())?;
-            let to_panel = panel_from_picture.matrix2;
-            let noise = to_panel * DMat2::from_cols_array(&[uu, uv, uv, vv]) * to_panel.transpose();
+            let (image_px, noise_px2) = bead.image_px.filter(|_| is_known).zip(bead.noise_px2())?;
             let unstated = || DMat3::from_diagonal(DVec3::splat(DEFAULT_SIGMA_MM.powi(2)));
             Some(ShotBead {
                 name: bead.name.clone(),
                 lps_mm: bead.lps_mm,
                 image_px: panel_from_picture.transform_point2(DVec2::from_array(image_px)),
-                noise_px2: [noise.x_axis.x, noise.y_axis.x, noise.y_axis.y],
+                noise_px2: noise_through(panel_from_picture.matrix2, noise_px2),
                 place_mm2: bead.covariance_mm2.map_or_else(unstated, |own| own.mm2()),
             })
         };

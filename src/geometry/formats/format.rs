@@ -2,9 +2,7 @@
 
 use std::str::FromStr;
 
-use glam::DQuat;
-
-use crate::geometry::Rigid;
+use crate::geometry::{RAS_FROM_LPS, Rigid};
 
 /// Where xReg puts the camera's origin and axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -170,7 +168,7 @@ impl PatientAxes {
     pub(super) fn rotation_from_lps(self) -> Rigid {
         match self {
             Self::Lps => Rigid::IDENTITY,
-            Self::Ras => Rigid::rotation(DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0)),
+            Self::Ras => RAS_FROM_LPS,
         }
     }
 }

@@ -3,7 +3,7 @@
 use glam::{DMat2, DVec2};
 use nalgebra::DMatrix;
 
-use crate::geometry::{Distortion, DistortionError, term_count, term_slopes, terms};
+use crate::geometry::{Distortion, DistortionError, noise_through, shift_slopes, term_count, terms};
 use crate::mask::Disc;
 
 /// Undistorted minus distorted over a disc, before anyone knows whether it can be inverted.
@@ -46,19 +46,13 @@ impl ShiftField {
 
     /// Derivative of [`ShiftField::straight`].
     pub fn jacobian(&self, p: DVec2) -> DMat2 {
-        let slopes = term_slopes(self.order, (p - self.disc.centre) / self.disc.radius_px);
-        let (by_x, by_y) = slopes
-            .zip(&self.shift_px)
-            .fold((DVec2::ZERO, DVec2::ZERO), |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
-        DMat2::IDENTITY + DMat2::from_cols(by_x, by_y) * self.disc.radius_px.recip()
+        let slopes = shift_slopes(self.order, (p - self.disc.centre) / self.disc.radius_px, &self.shift_px);
+        DMat2::IDENTITY + slopes * self.disc.radius_px.recip()
     }
 
     /// Covariance (uu, uv, vv), px², of the straight place of a shadow at `p` that is known in the frame to `noise_px2`.
-    // The straight place moves with the shadow by J = ∂straight/∂p, so that noise N of the one is J N Jᵀ of the other.
-    pub fn straight_noise_px2(&self, p: DVec2, [uu, uv, vv]: [f64; 3]) -> [f64; 3] {
-        let jacobian = self.jacobian(p);
-        let noise = jacobian * DMat2::from_cols_array(&[uu, uv, uv, vv]) * jacobian.transpose();
-        [noise.x_axis.x, noise.y_axis.x, noise.y_axis.y]
+    pub fn straight_noise_px2(&self, p: DVec2, noise_px2: [f64; 3]) -> [f64; 3] {
+        noise_through(self.jacobian(p), noise_px2)
     }
 
     /// The same as a distortion that can be inverted.

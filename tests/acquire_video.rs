@@ -305,7 +305,7 @@ fn a_video_that_does_not_open_is_left_when_the_session_ends() {
     command.arg("grab").arg(&pipe).arg("--into").arg(folder.path()).args(["--attended", "--json"]);
     command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
     let mut grabbing = Running(command.spawn().expect("starts"));
-    let opening = || process_with(&[pipe.as_os_str().as_encoded_bytes(), b"--attended"]);
+    let opening = || process_with(&[pipe.as_os_str().as_encoded_bytes()]);
     assert!(eventually(HANG_S, opening).is_some() && grabbing.end(0.5).is_none(), "the control: it waits");
     drop(grabbing.0.stdin.take());
     let status = grabbing.end(HANG_S).expect("it goes on");

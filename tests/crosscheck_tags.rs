@@ -90,7 +90,7 @@ fn edges(edges_px: [f64; 4]) -> Option<CollimatorTags> {
 
 fn iris(shapes: &[CollimatorShape], edges_px: Option<[f64; 4]>, radius_px: f64) -> Option<CollimatorTags> {
     let (centre_px, radius_px) = (Some([31.5, 24.5]), Some(radius_px));
-    Some(CollimatorTags { shapes: shapes.to_vec(), edges_px, centre_px, radius_px })
+    Some(CollimatorTags { shapes: shapes.to_vec(), edges_px, centre_px, radius_px, corners_px: Vec::new() })
 }
 
 /// A panel of 186 x 144 mm whose left shutter is 33 mm in, by telemetry, tags and pixels; the findings after `change`.
@@ -172,7 +172,7 @@ fn telemetry_s_field_is_held_against_the_frame_s_tags_and_a_silent_side_says_not
         // An iris within open shutters, alone and beside them, and one around all.
         |f, _, _| f.tags.collimator = iris(&[Circular], None, 12.0),
         |f, _, _| f.tags.collimator = iris(&[Rectangular, Circular], Some([12.0, 1.0, 62.0, 48.0]), 12.0),
-        // A polygon's corners are not kept.
+        // A polygon is no box.
         |f, _, _| f.tags.collimator = iris(&[Polygonal, Rectangular], Some([1.0, 1.0, 30.0, 48.0]), 12.0),
         // Mirrored at import: the shutter is on the other side of the file's picture.
         |f, _, _| (f.unmirrored, f.tags.collimator) = (true, edges([1.0, 1.0, 51.0, 48.0])),
@@ -256,6 +256,7 @@ fn filter_and_field_are_read_as_terms_and_numbers_alone() {
             edges_px: Some([1.0, 0.0, 4.0, 3.0]),
             centre_px: Some([3.0, 2.0]),
             radius_px: Some(2.0),
+            corners_px: Vec::new(),
         }),
         "DICOM gives the row first"
     );

@@ -268,6 +268,53 @@ fn many() {
     assert!(whole as f64 >= 0.55 * shut.len() as f64, "{whole} of {} shut areas flagged", shut.len());
 }
 
+/// What all of `planes` leave open of a square far beyond the frame: corners in their order.
+fn corners_of(planes: &[HalfPlane]) -> Vec<glam::DVec2> {
+    let far = 1e4;
+    let mut corners = [[-far, -far], [far, -far], [far, far], [-far, far]].map(glam::DVec2::from_array).to_vec();
+    for plane in planes {
+        let depth = |x: glam::DVec2| plane.limit_px - plane.normal.dot(x);
+        let mut left = Vec::new();
+        for (n, from) in corners.iter().enumerate() {
+            let to = corners[(n + 1) % corners.len()];
+            let (here, there) = (depth(*from), depth(to));
+            left.extend((here >= 0.0).then_some(*from));
+            left.extend((here * there < 0.0).then(|| *from + (to - *from) * here / (here - there)));
+        }
+        corners = left;
+    }
+    corners
+}
+
+/// The polygon of a display shutter was no evidence: of the frame whose blade the picture alone does not suggest, too.
+#[test]
+fn a_polygon_of_the_header_is_looked_at_and_one_that_the_picture_does_not_show_masks_nothing() {
+    use sidecarm::acquire::{CollimatorShape, CollimatorTags, Domain, Frame};
+    let shut = |seed: u64, with_blades: bool, planes: Option<&[HalfPlane]>| {
+        let drawn = draw_frame(seed, with_blades);
+        let domain = match drawn.domain {
+            "linear" => Domain::Linear,
+            "log" => Domain::Log,
+            _ => Domain::Display,
+        };
+        let mut frame = Frame::from_pixels("drawn", drawn.pixels.clone(), domain).expect("a frame");
+        let corners = corners_of(planes.unwrap_or(&drawn.told.half_planes));
+        frame.tags.display_shutter = (planes.is_none() || planes.is_some_and(|planes| !planes.is_empty())).then(|| CollimatorTags {
+            shapes: vec![CollimatorShape::Polygonal],
+            corners_px: corners.into_iter().map(|corner| (corner + 1.0).to_array()).collect(),
+            ..CollimatorTags::default()
+        });
+        let shares = sidecarm::mask::of_frame(&frame).shares(frame.size_px[0], frame.size_px[1]);
+        shares.causes.get(&sidecarm::mask::Cause::Collimation).copied().unwrap_or(0.0)
+    };
+    let (alone, told) = (shut(3206, true, Some(&[])), shut(3206, true, None));
+    assert!(told > alone + 0.01, "{alone} alone, {told} with the header's polygon");
+    let open = draw_frame(3000, false);
+    let invented = [HalfPlane { normal: glam::DVec2::NEG_X, limit_px: -0.15 * open.pixels.width as f64 }];
+    let (alone, invented) = (shut(3000, false, Some(&[])), shut(3000, false, Some(&invented)));
+    assert!((invented - alone).abs() < 0.02, "{alone} alone, {invented} with an invented polygon");
+}
+
 /// Blades that telemetry tells of are looked at where the picture alone suggests none; what it tells of an open frame is not believed.
 #[test]
 fn blades_that_somebody_tells_of_are_found_and_invented_ones_are_not() {

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use sidecarm::acquire::{CollimatorShape, CollimatorTags, Domain, Frame};
 use sidecarm::image::Image;
-use sidecarm::mask::{Field, FieldShape, HalfPlane, find_field, find_told_field};
+use sidecarm::mask::{Cause, Field, FieldShape, HalfPlane, find_field, find_told_field, of_frame};
 
 use crate::mask_draw::{Drawn, draw_frame, frame_size};
 
@@ -289,29 +290,30 @@ fn corners_of(planes: &[HalfPlane]) -> Vec<glam::DVec2> {
 /// The polygon of a display shutter was no evidence: of the frame whose blade the picture alone does not suggest, too.
 #[test]
 fn a_polygon_of_the_header_is_looked_at_and_one_that_the_picture_does_not_show_masks_nothing() {
-    use sidecarm::acquire::{CollimatorShape, CollimatorTags, Domain, Frame};
-    let shut = |seed: u64, with_blades: bool, planes: Option<&[HalfPlane]>| {
-        let drawn = draw_frame(seed, with_blades);
-        let domain = match drawn.domain {
-            "linear" => Domain::Linear,
-            "log" => Domain::Log,
-            _ => Domain::Display,
+    let masked = |drawn: &Drawn, planes: Option<&[HalfPlane]>| {
+        let (domain, pixels) = match (drawn.domain, drawn.larger_is_more_attenuation) {
+            ("display", true) => (Domain::Display, drawn.pixels.map(|value| 255.0 - *value)),
+            ("display", false) => (Domain::Display, drawn.pixels.clone()),
+            (_, true) => (Domain::Log, drawn.pixels.clone()),
+            (_, false) => (Domain::Linear, drawn.pixels.clone()),
         };
-        let mut frame = Frame::from_pixels("drawn", drawn.pixels.clone(), domain).expect("a frame");
-        let corners = corners_of(planes.unwrap_or(&drawn.told.half_planes));
-        frame.tags.display_shutter = (planes.is_none() || planes.is_some_and(|planes| !planes.is_empty())).then(|| CollimatorTags {
+        let mut frame = Frame::from_pixels("drawn", pixels, domain).expect("a frame");
+        frame.tags.display_shutter = planes.map(|planes| CollimatorTags {
             shapes: vec![CollimatorShape::Polygonal],
-            corners_px: corners.into_iter().map(|corner| (corner + 1.0).to_array()).collect(),
+            corners_px: corners_of(planes).into_iter().map(|corner| (corner + 1.0).to_array()).collect(),
             ..CollimatorTags::default()
         });
-        let shares = sidecarm::mask::of_frame(&frame).shares(frame.size_px[0], frame.size_px[1]);
-        shares.causes.get(&sidecarm::mask::Cause::Collimation).copied().unwrap_or(0.0)
+        let shares = of_frame(&frame).shares(frame.size_px[0], frame.size_px[1]);
+        shares.causes.get(&Cause::Collimation).copied().unwrap_or(0.0)
     };
-    let (alone, told) = (shut(3206, true, Some(&[])), shut(3206, true, None));
-    assert!(told > alone + 0.01, "{alone} alone, {told} with the header's polygon");
+    let drawn = draw_frame(3206, true);
+    let depths = drawn.depth_px.as_ref().expect("blades");
+    let shut = depths.pixels.iter().filter(|depth| **depth < 0.0).count() as f64 / depths.pixels.len() as f64;
+    let (alone, told) = (masked(&drawn, None), masked(&drawn, Some(drawn.told.half_planes.as_slice())));
+    assert!(told >= 0.98 * shut && told > alone, "{shut} is shut, {alone} masked alone, {told} with the header's polygon");
     let open = draw_frame(3000, false);
-    let invented = [HalfPlane { normal: glam::DVec2::NEG_X, limit_px: -0.15 * open.pixels.width as f64 }];
-    let (alone, invented) = (shut(3000, false, Some(&[])), shut(3000, false, Some(&invented)));
+    let planes = [HalfPlane { normal: glam::DVec2::NEG_X, limit_px: -0.15 * open.pixels.width as f64 }];
+    let (alone, invented) = (masked(&open, None), masked(&open, Some(&planes[..])));
     assert!((invented - alone).abs() < 0.02, "{alone} alone, {invented} with an invented polygon");
 }
 

@@ -87,7 +87,9 @@ impl Frame {
         // Of a picture that was turned by a quarter, also a square one.
         if console.stored_size([false, true])[0] {
             let tags = &mut frame.tags;
-            [&mut tags.pitch_mm, &mut tags.pixel_spacing_mm, &mut tags.pixel_aspect].into_iter().flatten().for_each(|pair| pair.reverse());
+            for pair in [&mut tags.pitch_mm, &mut tags.pixel_spacing_mm, &mut tags.pixel_aspect].into_iter().flatten() {
+                pair.reverse();
+            }
         }
         correction.console = words;
         correction.stored = Some(Stored { console: console.clone(), size_px: stored_px, panel_px });

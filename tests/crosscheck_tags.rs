@@ -296,7 +296,35 @@ fn filter_and_field_are_read_as_terms_and_numbers_alone() {
     assert_eq!(none(""), Some(FilterTags { form: Some(FilterForm::NoFilter), layers: Vec::new() }));
     assert!(none("COPPER").is_some_and(|filter| filter.form.is_none() && filter.layers[0].thickness_mm.is_none()));
 
+    let (told, json) = read(&[
+        (tags::SHUTTER_SHAPE, VR::CS, "POLYGONAL\\BITMAP"),
+        (tags::VERTICES_OF_THE_POLYGONAL_SHUTTER, VR::IS, "1\\2\\1\\4\\2\\3"),
+        (tags::SHUTTER_LEFT_VERTICAL_EDGE, VR::IS, "3"),
+        (tags::VERTICES_OF_THE_POLYGONAL_COLLIMATOR, VR::IS, "1\\2\\1\\4\\2"),
+        (tags::PIXEL_ASPECT_RATIO, VR::IS, "12\\11"),
+        (tags::ESTIMATED_RADIOGRAPHIC_MAGNIFICATION_FACTOR, VR::DS, "1.5"),
+        (tags::X_RAY_RECEPTOR_TYPE, VR::CS, "IMG_INTENSIFIER"),
+        (tags::DETECTOR_TYPE, VR::CS, "SCINTILLATOR"),
+        (tags::FIELD_OF_VIEW_SHAPE, VR::CS, "QUENDEL"),
+    ]);
+    let shutter = told.display_shutter.expect("a display shutter");
+    assert_eq!(shutter.shapes, [CollimatorShape::Polygonal, CollimatorShape::Bitmap]);
+    assert_eq!(
+        (shutter.corners_px, shutter.edges_px),
+        (vec![[2.0, 1.0], [4.0, 1.0], [3.0, 2.0]], None),
+        "DICOM gives the row first"
+    );
+    assert_eq!(told.collimator, None, "half a corner is none");
+    assert_eq!((told.pixel_aspect, told.magnification), (Some([11.0, 12.0]), Some(1.5)), "DICOM gives the height first");
+    assert_eq!((told.receptor.as_deref(), told.detector_type.as_deref()), (Some("IMG_INTENSIFIER"), Some("SCINTILLATOR")));
+    assert!(told.field_of_view_shape.is_none() && !json.to_string().contains("QUENDEL"), "{json}");
+
     let (_, json) = read(&[]);
     let keys = json["tags"].as_object().expect("an object");
-    assert!(["filter", "collimator", "field_of_view_mm"].iter().all(|key| !keys.contains_key(*key)), "{keys:?}");
+    assert!(
+        ["filter", "collimator", "display_shutter", "receptor", "pixel_aspect", "field_of_view_mm"]
+            .iter()
+            .all(|key| !keys.contains_key(*key)),
+        "{keys:?}"
+    );
 }

@@ -77,7 +77,8 @@ pub fn register_looked(request: &Registration, frame: &Frame, looked: &Looked) -
         Some(fault) => request.refuse(&fault),
         None => {
             let pose = other_sense(request, frame, looked, either_polarity(request, frame, looked));
-            match no_signal(frame, &looked.usable).filter(|_| !pose.is_accepted()) {
+            let refusal = if pose.is_accepted() { None } else { no_signal(frame, &looked.usable) };
+            match refusal {
                 Some(refusal) => pose.refused_for(refusal),
                 None => pose,
             }

@@ -106,7 +106,7 @@ fn other_pixels(frame: &Frame, k: &Intrinsics) -> Option<String> {
 
 /// A specimen that is at another depth by the header, or at two.
 fn other_depth(tags: &FrameTags, depth_mm: f64) -> Option<String> {
-    let is_beyond = |ratio: f64, times: f64| !(ratio >= 1.0 / times && ratio <= times);
+    let is_beyond = |ratio: f64, times: f64| !(1.0 / times..=times).contains(&ratio);
     // A patient who is not before the detector, or is not magnified, is what is written where nothing is known.
     let by_distance_mm = tags.sod_mm.filter(|sod_mm| tags.sid_mm.is_none_or(|sid_mm| *sod_mm < sid_mm));
     let magnified = tags.sid_mm.zip(tags.magnification.filter(|times| *times > 1.0));

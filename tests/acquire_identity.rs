@@ -42,10 +42,14 @@ const HEADER: [(Tag, VR, &str, &[&str]); 22] = [
 ];
 
 /// Free text where the standard has terms.
-const CODES: [(Tag, &str, &str); 8] = [
+const CODES: [(Tag, &str, &str); 12] = [
     (tags::FILTER_TYPE, "CU KNORZELFINK", "knorzelfink"),
     (tags::FILTER_MATERIAL, "WUMMERBACH", "wummerbach"),
     (tags::COLLIMATOR_SHAPE, "FRAU ZIPPELT", "zippelt"),
+    (tags::SHUTTER_SHAPE, "FRAU PLOMMER", "plommer"),
+    (tags::X_RAY_RECEPTOR_TYPE, "HERR VIERTLER", "viertler"),
+    (tags::DETECTOR_TYPE, "DOKTOR GRANZ", "granz"),
+    (tags::FIELD_OF_VIEW_SHAPE, "ONKEL STRUPP", "strupp"),
     (tags::MODALITY, "XYLOTAN", "xylotan"),
     (tags::IMAGE_TYPE, "ORIGINAL\\GRUMBELT", "grumbelt"),
     (tags::PRESENTATION_INTENT_TYPE, "HERR ZOLPERICH", "zolperich"),

@@ -66,6 +66,15 @@ fn the_newest_frame_is_registered_as_a_live_one_and_damaged_ones_are_named() {
     assert_eq!(row(&rows, "newest frame's pose").1, "pass");
     assert!(!format!("{rows:?}").contains("two shots") && !format!("{rows:?}").contains("notes"), "{rows:#?}");
 
+    // A picture of an intensifier, by its header, of a session that names none: as good a pose, and in doubt.
+    let mut object = dicom_object::open_file(&frame).expect("opens");
+    object.put(DataElement::new(tags::INTENSIFIER_SIZE, VR::DS, PrimitiveValue::from("229")));
+    object.write_to_file(lab.frames().join("frame-003.dcm")).expect("written");
+    let (rows, _) = check_unrehearsed(&lab.kit);
+    let (_, level, words) = row(&rows, "newest frame's pose");
+    let parts = ["frame-003", "in doubt", "(0018,1162) is 229 mm", "\"intensifier\" in a session"];
+    assert!(level == "warn" && parts.iter().all(|part| words.contains(part)), "{words}");
+
     // What its header says of the arm is held against the calibration, and beads that are elsewhere give no pose.
     let mut object = dicom_object::open_file(&frame).expect("opens");
     object.put(DataElement::new(tags::DISTANCE_SOURCE_TO_DETECTOR, VR::DS, PrimitiveValue::from("740")));

@@ -90,7 +90,7 @@ fn edges(edges_px: [f64; 4]) -> Option<CollimatorTags> {
 
 fn iris(shapes: &[CollimatorShape], edges_px: Option<[f64; 4]>, radius_px: f64) -> Option<CollimatorTags> {
     let (centre_px, radius_px) = (Some([31.5, 24.5]), Some(radius_px));
-    Some(CollimatorTags { shapes: shapes.to_vec(), edges_px, centre_px, radius_px })
+    Some(CollimatorTags { shapes: shapes.to_vec(), edges_px, centre_px, radius_px, corners_px: Vec::new() })
 }
 
 /// A panel of 186 x 144 mm whose left shutter is 33 mm in, by telemetry, tags and pixels; the findings after `change`.
@@ -172,7 +172,7 @@ fn telemetry_s_field_is_held_against_the_frame_s_tags_and_a_silent_side_says_not
         // An iris within open shutters, alone and beside them, and one around all.
         |f, _, _| f.tags.collimator = iris(&[Circular], None, 12.0),
         |f, _, _| f.tags.collimator = iris(&[Rectangular, Circular], Some([12.0, 1.0, 62.0, 48.0]), 12.0),
-        // A polygon's corners are not kept.
+        // A polygon is no box.
         |f, _, _| f.tags.collimator = iris(&[Polygonal, Rectangular], Some([1.0, 1.0, 30.0, 48.0]), 12.0),
         // Mirrored at import: the shutter is on the other side of the file's picture.
         |f, _, _| (f.unmirrored, f.tags.collimator) = (true, edges([1.0, 1.0, 51.0, 48.0])),
@@ -256,6 +256,7 @@ fn filter_and_field_are_read_as_terms_and_numbers_alone() {
             edges_px: Some([1.0, 0.0, 4.0, 3.0]),
             centre_px: Some([3.0, 2.0]),
             radius_px: Some(2.0),
+            corners_px: Vec::new(),
         }),
         "DICOM gives the row first"
     );
@@ -295,7 +296,35 @@ fn filter_and_field_are_read_as_terms_and_numbers_alone() {
     assert_eq!(none(""), Some(FilterTags { form: Some(FilterForm::NoFilter), layers: Vec::new() }));
     assert!(none("COPPER").is_some_and(|filter| filter.form.is_none() && filter.layers[0].thickness_mm.is_none()));
 
+    let (told, json) = read(&[
+        (tags::SHUTTER_SHAPE, VR::CS, "POLYGONAL\\BITMAP"),
+        (tags::VERTICES_OF_THE_POLYGONAL_SHUTTER, VR::IS, "1\\2\\1\\4\\2\\3"),
+        (tags::SHUTTER_LEFT_VERTICAL_EDGE, VR::IS, "3"),
+        (tags::VERTICES_OF_THE_POLYGONAL_COLLIMATOR, VR::IS, "1\\2\\1\\4\\2"),
+        (tags::PIXEL_ASPECT_RATIO, VR::IS, "12\\11"),
+        (tags::ESTIMATED_RADIOGRAPHIC_MAGNIFICATION_FACTOR, VR::DS, "1.5"),
+        (tags::X_RAY_RECEPTOR_TYPE, VR::CS, "IMG_INTENSIFIER"),
+        (tags::DETECTOR_TYPE, VR::CS, "SCINTILLATOR"),
+        (tags::FIELD_OF_VIEW_SHAPE, VR::CS, "QUENDEL"),
+    ]);
+    let shutter = told.display_shutter.expect("a display shutter");
+    assert_eq!(shutter.shapes, [CollimatorShape::Polygonal, CollimatorShape::Bitmap]);
+    assert_eq!(
+        (shutter.corners_px, shutter.edges_px),
+        (vec![[2.0, 1.0], [4.0, 1.0], [3.0, 2.0]], None),
+        "DICOM gives the row first"
+    );
+    assert_eq!(told.collimator, None, "half a corner is none");
+    assert_eq!((told.pixel_aspect, told.magnification), (Some([11.0, 12.0]), Some(1.5)), "DICOM gives the height first");
+    assert_eq!((told.receptor.as_deref(), told.detector_type.as_deref()), (Some("IMG_INTENSIFIER"), Some("SCINTILLATOR")));
+    assert!(told.field_of_view_shape.is_none() && !json.to_string().contains("QUENDEL"), "{json}");
+
     let (_, json) = read(&[]);
     let keys = json["tags"].as_object().expect("an object");
-    assert!(["filter", "collimator", "field_of_view_mm"].iter().all(|key| !keys.contains_key(*key)), "{keys:?}");
+    assert!(
+        ["filter", "collimator", "display_shutter", "receptor", "pixel_aspect", "field_of_view_mm"]
+            .iter()
+            .all(|key| !keys.contains_key(*key)),
+        "{keys:?}"
+    );
 }

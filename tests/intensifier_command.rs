@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use dicom_core::{DataElement, PrimitiveValue, VR};
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
+use dicom_object::InMemDicomObject;
 use glam::{DVec2, DVec3};
 use serde_json::json;
 use sidecarm::geometry::{AnglesDeg, AnglesFrom, Glare, IntensifierCalibration, Rigid};
@@ -15,6 +16,7 @@ use crate::acquire_frames::{fluoroscopy, save};
 use crate::calibrate_intensifier::turned;
 use crate::calibrate_intensifier_beads::{LIMIT_PX, Lab, SIZE, judged, markups};
 use crate::intensifier_draw::{Drawn, Law};
+use crate::pose_synthetic as synthetic;
 
 fn sidecarm(folder: &Path, words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(words).current_dir(folder).output().expect("runs")
@@ -30,7 +32,11 @@ fn calibration(output: &Output) -> IntensifierCalibration {
 }
 
 /// A linear frame of 16 bits with a pixel's side and those of the two positioner angles that are stated.
-fn dicom(path: &Path, pixels: &Image<f32>, pitch_mm: f64, [primary_deg, secondary_deg]: [Option<f64>; 2]) {
+fn dicom(path: &Path, pixels: &Image<f32>, pitch_mm: f64, angles_deg: [Option<f64>; 2]) {
+    save(stored(pixels, pitch_mm, angles_deg), path);
+}
+
+fn stored(pixels: &Image<f32>, pitch_mm: f64, [primary_deg, secondary_deg]: [Option<f64>; 2]) -> InMemDicomObject {
     let mut object = fluoroscopy();
     let mut number = |tag, value: usize| object.put(DataElement::new(tag, VR::US, PrimitiveValue::from(value as u16)));
     number(tags::ROWS, pixels.height);
@@ -46,7 +52,48 @@ fn dicom(path: &Path, pixels: &Image<f32>, pitch_mm: f64, [primary_deg, secondar
     }
     let values: Vec<u16> = pixels.pixels.iter().map(|value| *value as u16).collect();
     object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
-    save(object, path);
+    object
+}
+
+/// A header that names an intensifier, and pixels that are not square, were accepted without a word.
+#[test]
+fn what_the_header_has_against_a_pose_puts_it_in_doubt() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name);
+    let (view, layout) = (synthetic::view(620, 480, 8), synthetic::layout(10, 0.75, 5));
+    let pixels = synthetic::Radiograph { metal: false, ..synthetic::radiograph(view, &layout, 50_000.0, 3) }.draw();
+    markups(folder.path(), "beads.mrk.json", &layout);
+    let k = json!({"intrinsics": view.intrinsics, "size_px": view.size_px});
+    std::fs::write(path("K.json"), k.to_string()).expect("written");
+    let registered = |name: &str, put: &[(Tag, VR, &str)]| {
+        let mut object = stored(&pixels, 1020.0 / view.intrinsics.fx, [None; 2]);
+        for (tag, vr, value) in put {
+            object.put(DataElement::new(*tag, *vr, PrimitiveValue::from(*value)));
+        }
+        save(object, &path(&format!("{name}.dcm")));
+        let words = format!("register {name}.dcm --beads beads.mrk.json --intrinsics K.json --out {name}.json");
+        let output = sidecarm(folder.path(), &words.split_whitespace().collect::<Vec<_>>());
+        assert!(output.status.success(), "{name}: {}", said(&output));
+        Pose::read(&path(&format!("{name}.json"))).expect("a pose")
+    };
+    let hears = |pose: &Pose, what: &str| pose.doubt.is_some() && pose.cautions.iter().any(|words| words.contains(what));
+    let plain = registered("plain", &[]);
+    assert!(!plain.cautions.iter().any(|words| words.contains("header")), "the control: {:?}", plain.cautions);
+    let intensifier = registered("intensifier", &[(tags::INTENSIFIER_SIZE, VR::DS, "229")]);
+    assert!(hears(&intensifier, "(0018,1162) is 229 mm"), "{:?}", intensifier.cautions);
+    assert_eq!(intensifier.projection, plain.projection, "it is the same pose");
+    let stretched = registered("stretched", &[(tags::PIXEL_SPACING, VR::DS, "0.24\\0.22")]);
+    assert!(hears(&stretched, "9.1 % taller by the pixel spacing (0028,0030)"), "{:?}", stretched.cautions);
+    let shut = [
+        (tags::COLLIMATOR_SHAPE, VR::CS, "RECTANGULAR"),
+        (tags::COLLIMATOR_LEFT_VERTICAL_EDGE, VR::IS, "1"),
+        (tags::COLLIMATOR_RIGHT_VERTICAL_EDGE, VR::IS, "60"),
+        (tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE, VR::IS, "1"),
+        (tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE, VR::IS, "480"),
+    ];
+    let elsewhere = registered("elsewhere", &shut);
+    assert!(elsewhere.cautions.iter().any(|words| words.contains("has the collimator shut")), "{:?}", elsewhere.cautions);
+    assert_eq!(elsewhere.doubt, plain.doubt, "a caution alone");
 }
 
 /// Open beam through the disc of `law` with a round piece of lead in its middle: what arrives beside the lead, and what `glare` spreads.

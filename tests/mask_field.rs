@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use sidecarm::acquire::{CollimatorShape, CollimatorTags, Domain, Frame};
 use sidecarm::image::Image;
-use sidecarm::mask::{Field, FieldShape, HalfPlane, find_field, find_told_field};
+use sidecarm::mask::{Cause, Field, FieldShape, HalfPlane, find_field, find_told_field, of_frame};
 
 use crate::mask_draw::{Drawn, draw_frame, frame_size};
 
@@ -266,6 +267,54 @@ fn many() {
     println!("blades flagged whole in {whole} of {}; of clear ones missed in {missed} of {}", shut.len(), clear.len());
     assert!(wrong as f64 <= 0.01 * scores.len() as f64, "{wrong} of {} frames lose open anatomy", scores.len());
     assert!(whole as f64 >= 0.55 * shut.len() as f64, "{whole} of {} shut areas flagged", shut.len());
+}
+
+/// What all of `planes` leave open of a square far beyond the frame: corners in their order.
+fn corners_of(planes: &[HalfPlane]) -> Vec<glam::DVec2> {
+    let far = 1e4;
+    let mut corners = [[-far, -far], [far, -far], [far, far], [-far, far]].map(glam::DVec2::from_array).to_vec();
+    for plane in planes {
+        let depth = |x: glam::DVec2| plane.limit_px - plane.normal.dot(x);
+        let mut left = Vec::new();
+        for (n, from) in corners.iter().enumerate() {
+            let to = corners[(n + 1) % corners.len()];
+            let (here, there) = (depth(*from), depth(to));
+            left.extend((here >= 0.0).then_some(*from));
+            left.extend((here * there < 0.0).then(|| *from + (to - *from) * here / (here - there)));
+        }
+        corners = left;
+    }
+    corners
+}
+
+/// The polygon of a display shutter was no evidence: of the frame whose blade the picture alone does not suggest, too.
+#[test]
+fn a_polygon_of_the_header_is_looked_at_and_one_that_the_picture_does_not_show_masks_nothing() {
+    let masked = |drawn: &Drawn, planes: Option<&[HalfPlane]>| {
+        let (domain, pixels) = match (drawn.domain, drawn.larger_is_more_attenuation) {
+            ("display", true) => (Domain::Display, drawn.pixels.map(|value| 255.0 - *value)),
+            ("display", false) => (Domain::Display, drawn.pixels.clone()),
+            (_, true) => (Domain::Log, drawn.pixels.clone()),
+            (_, false) => (Domain::Linear, drawn.pixels.clone()),
+        };
+        let mut frame = Frame::from_pixels("drawn", pixels, domain).expect("a frame");
+        frame.tags.display_shutter = planes.map(|planes| CollimatorTags {
+            shapes: vec![CollimatorShape::Polygonal],
+            corners_px: corners_of(planes).into_iter().map(|corner| (corner + 1.0).to_array()).collect(),
+            ..CollimatorTags::default()
+        });
+        let shares = of_frame(&frame).shares(frame.size_px[0], frame.size_px[1]);
+        shares.causes.get(&Cause::Collimation).copied().unwrap_or(0.0)
+    };
+    let drawn = draw_frame(3206, true);
+    let depths = drawn.depth_px.as_ref().expect("blades");
+    let shut = depths.pixels.iter().filter(|depth| **depth < 0.0).count() as f64 / depths.pixels.len() as f64;
+    let (alone, told) = (masked(&drawn, None), masked(&drawn, Some(drawn.told.half_planes.as_slice())));
+    assert!(told >= 0.98 * shut && told > alone, "{shut} is shut, {alone} masked alone, {told} with the header's polygon");
+    let open = draw_frame(3000, false);
+    let planes = [HalfPlane { normal: glam::DVec2::NEG_X, limit_px: -0.15 * open.pixels.width as f64 }];
+    let (alone, invented) = (masked(&open, None), masked(&open, Some(&planes[..])));
+    assert!((invented - alone).abs() < 0.02, "{alone} alone, {invented} with an invented polygon");
 }
 
 /// Blades that telemetry tells of are looked at where the picture alone suggests none; what it tells of an open frame is not believed.

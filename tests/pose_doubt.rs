@@ -306,6 +306,26 @@ fn a_picture_inverted_against_its_domain_is_named() {
     assert!(!pose.is_accepted() && !matches!(pose.refusal, Some(Refusal::Sense { .. })), "{:?}", pose.reason);
 }
 
+/// A float picture whose offset was taken off until nothing was above zero gave `too few shadows`, which sends one to the collimator.
+#[test]
+fn linear_values_below_zero_are_named() {
+    let (view, layout) = (synthetic::view(620, 480, 8), synthetic::layout(10, 0.75, 5));
+    let pixels = synthetic::Radiograph { metal: false, ..synthetic::radiograph(view, &layout, 50_000.0, 3) }.draw();
+    let highest = pixels.pixels.iter().copied().fold(0.0f32, f32::max);
+    let posed = |pixels: Image<f32>, domain: Domain| {
+        register(&matching(&view, &layout), &Frame::from_pixels("drawn", pixels, domain).expect("a frame"))
+    };
+    let below = pixels.map(|value| *value - highest - 10.0);
+    let pose = posed(below.clone(), Domain::Linear);
+    assert!(matches!(pose.refusal, Some(Refusal::NoSignal { highest }) if highest < 0.0), "{:?}", pose.reason);
+    let words = reason(&pose);
+    assert!(words.starts_with("no_signal: ") && words.contains("--domain log"), "{words}");
+    // Of another domain the same numbers are as good as any, and a panel without X-rays has another remedy.
+    assert!(!matches!(posed(below, Domain::Unknown).refusal, Some(Refusal::NoSignal { .. })));
+    let dark = posed(Image::filled(620, 480, 0.0f32), Domain::Linear);
+    assert!(matches!(dark.refusal, Some(Refusal::TooFewShadows { .. })), "{:?}", dark.reason);
+}
+
 /// One pixel of 1e13 in a float TIFF left no shadow in the frame: sums over pixels consisted of it.
 #[test]
 fn pixels_beyond_all_others_are_masked() {

@@ -122,27 +122,33 @@ pub enum CollimatorShape {
     Rectangular,
     /// An iris.
     Circular,
-    /// Any other; its corners are not kept.
+    /// Any other.
     Polygonal,
+    /// Pixel by pixel, of what a console shows alone; which pixels is not kept.
+    Bitmap,
 }
 
-/// The collimator's opening (PS3.3 C.8.7.3) in pixels of the picture as stored, whose first column and row are 1.
+/// The opening of the collimator (PS3.3 C.8.7.3), or of the display shutter (C.7.6.11), in pixels of the picture as stored, whose first column and
+/// row are 1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CollimatorTags {
-    /// (0018,1700); several lie over each other.
+    /// (0018,1700), (0018,1600); several lie over each other.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub shapes: Vec<CollimatorShape>,
-    /// Columns of the left and right edge, rows of the upper and lower, as left, top, right, bottom: (0018,1702), 1706, 1704, 1708. They
-    /// may lie outside the picture.
+    /// Columns of the left and right edge, rows of the upper and lower, as left, top, right, bottom: (0018,1702), 1706, 1704, 1708, or
+    /// (0018,1602), 1606, 1604, 1608. They may lie outside the picture.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub edges_px: Option<[f64; 4]>,
-    /// Column and row of the iris's middle (0018,1710).
+    /// Column and row of the iris's middle (0018,1710), (0018,1610).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub centre_px: Option<[f64; 2]>,
-    /// Radius of the iris (0018,1712).
+    /// Radius of the iris (0018,1712), (0018,1612).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_px: Option<f64>,
+    /// Columns and rows of a polygon's corners, in their order (0018,1720), (0018,1620).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub corners_px: Vec<[f64; 2]>,
 }
 
 #[cfg(test)]

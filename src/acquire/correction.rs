@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::DVec2;
+use glam::{DAffine2, DMat2, DVec2};
 
 use super::detector_record::{DetectorCalibration, DetectorCalibrationError};
 use super::flood::ChosenBeam;
@@ -23,6 +23,29 @@ impl Frame {
             Some(stored) => stored.seen_through(whole),
             None => whole.for_size(self.size_px.map(|side| side as u32)),
         }
+    }
+
+    /// Pixels of the picture in the file to those of the panel's picture; centres at integers. Without a console that was declared the frame is
+    /// all of it.
+    #[must_use]
+    pub fn panel_from_file(&self) -> DAffine2 {
+        let stored = self.correction.as_ref().and_then(|correction| correction.stored.as_ref());
+        let stored_px = stored.map_or(self.size_px.map(|side| side as u32), |stored| stored.size_px);
+        let panel_from_console = stored.map_or(DAffine2::IDENTITY, |stored| stored.console.detector_from_image(stored_px));
+        // The import has put mirrored columns back in order; the console is declared for what came of it.
+        if self.unmirrored && !stored.is_some_and(|stored| stored.console.is_mirrored()) {
+            let mirror = DMat2::from_diagonal(DVec2::new(-1.0, 1.0));
+            return panel_from_console * DAffine2::from_mat2_translation(mirror, DVec2::new(f64::from(stored_px[0]) - 1.0, 0.0));
+        }
+        panel_from_console
+    }
+
+    /// Pixels of the picture in the file to those of the frame; centres at integers.
+    #[must_use]
+    pub fn frame_from_file(&self) -> DAffine2 {
+        let stored = self.correction.as_ref().and_then(|correction| correction.stored.as_ref());
+        let window = stored.map_or(PanelWindow::WHOLE, |stored| stored.console.window(stored.size_px));
+        window.detector_from_oriented().inverse() * self.panel_from_file()
     }
 
     /// The frame as it lies on the panel: quarter turns and mirroring undone pixel by pixel, declared writing marked, and what the
@@ -61,8 +84,12 @@ impl Frame {
             }
             correction.flags = Some(Arc::new(flags));
         }
-        if let (Some(pitch), true) = (&mut frame.tags.pitch_mm, self.size_px[0] != frame.size_px[0]) {
-            pitch.reverse();
+        // Of a picture that was turned by a quarter, also a square one.
+        if console.stored_size([false, true])[0] {
+            let tags = &mut frame.tags;
+            for pair in [&mut tags.pitch_mm, &mut tags.pixel_spacing_mm, &mut tags.pixel_aspect].into_iter().flatten() {
+                pair.reverse();
+            }
         }
         correction.console = words;
         correction.stored = Some(Stored { console: console.clone(), size_px: stored_px, panel_px });

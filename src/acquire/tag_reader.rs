@@ -17,6 +17,45 @@ const MOST_PX: f64 = 65_535.0;
 /// No picture is wider.
 const MOST_FIELD_MM: f64 = 5000.0;
 
+/// No blades have more corners.
+const MOST_CORNERS: usize = 64;
+
+/// The attributes of an opening.
+struct OpeningTags {
+    shape: Tag,
+    /// Left, upper, right, lower.
+    edges: [Tag; 4],
+    centre: Tag,
+    radius: Tag,
+    corners: Tag,
+}
+
+const COLLIMATOR: OpeningTags = OpeningTags {
+    shape: tags::COLLIMATOR_SHAPE,
+    edges: [
+        tags::COLLIMATOR_LEFT_VERTICAL_EDGE,
+        tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE,
+        tags::COLLIMATOR_RIGHT_VERTICAL_EDGE,
+        tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE,
+    ],
+    centre: tags::CENTER_OF_CIRCULAR_COLLIMATOR,
+    radius: tags::RADIUS_OF_CIRCULAR_COLLIMATOR,
+    corners: tags::VERTICES_OF_THE_POLYGONAL_COLLIMATOR,
+};
+
+const DISPLAY_SHUTTER: OpeningTags = OpeningTags {
+    shape: tags::SHUTTER_SHAPE,
+    edges: [
+        tags::SHUTTER_LEFT_VERTICAL_EDGE,
+        tags::SHUTTER_UPPER_HORIZONTAL_EDGE,
+        tags::SHUTTER_RIGHT_VERTICAL_EDGE,
+        tags::SHUTTER_LOWER_HORIZONTAL_EDGE,
+    ],
+    centre: tags::CENTER_OF_CIRCULAR_SHUTTER,
+    radius: tags::RADIUS_OF_CIRCULAR_SHUTTER,
+    corners: tags::VERTICES_OF_THE_POLYGONAL_SHUTTER,
+};
+
 /// Reads attributes one by one and refuses what does not look as the standard says; a refused value is noted without being repeated.
 pub(super) struct TagReader<'a> {
     object: &'a InMemDicomObject,
@@ -199,28 +238,37 @@ impl<'a> TagReader<'a> {
         None
     }
 
-    fn collimator(&mut self) -> Option<CollimatorTags> {
-        let shapes: Vec<_> = self.variants(tags::COLLIMATOR_SHAPE).into_iter().flatten().collect();
-        let edges = [
-            tags::COLLIMATOR_LEFT_VERTICAL_EDGE,
-            tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE,
-            tags::COLLIMATOR_RIGHT_VERTICAL_EDGE,
-            tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE,
-        ];
-        let edges_px = match edges.map(|tag| self.place(tag)) {
+    fn opening(&mut self, of: &OpeningTags) -> Option<CollimatorTags> {
+        let shapes: Vec<_> = self.variants(of.shape).into_iter().flatten().collect();
+        let edges_px = match of.edges.map(|tag| self.place(tag)) {
             [Some(left), Some(top), Some(right), Some(bottom)] if left < right && top < bottom => {
                 Some([left, top, right, bottom])
             }
             _ => None,
         };
-        let centre_px = match self.places(tags::CENTER_OF_CIRCULAR_COLLIMATOR)[..] {
+        let centre_px = match self.places(of.centre)[..] {
             // DICOM gives the row first; this is (u, v).
             [row, column] => Some([column, row]),
             _ => None,
         };
-        let radius_px = self.place(tags::RADIUS_OF_CIRCULAR_COLLIMATOR).filter(|radius| *radius > 0.0);
-        let collimator = CollimatorTags { shapes, edges_px, centre_px, radius_px };
-        (collimator != CollimatorTags::default()).then_some(collimator)
+        let radius_px = self.place(of.radius).filter(|radius| *radius > 0.0);
+        let corners_px = self.corners(of.corners);
+        let opening = CollimatorTags { shapes, edges_px, centre_px, radius_px, corners_px };
+        (opening != CollimatorTags::default()).then_some(opening)
+    }
+
+    fn corners(&mut self, tag: Tag) -> Vec<[f64; 2]> {
+        let values = self.places(tag);
+        if values.is_empty() {
+            return Vec::new();
+        }
+        let pairs = values.chunks_exact(2);
+        if pairs.remainder().is_empty() && (3..=MOST_CORNERS).contains(&pairs.len()) {
+            // DICOM gives the row first; this is (u, v).
+            return pairs.map(|pair| [pair[1], pair[0]]).collect();
+        }
+        self.refuse(tag, "a polygon's rows and columns");
+        Vec::new()
     }
 
     /// Numbers of columns, rows or pixels, in the picture or not far from it.
@@ -279,8 +327,11 @@ impl<'a> TagReader<'a> {
             image_type: self.terms(tags::IMAGE_TYPE, "image_type"),
             pitch_mm: self.spacing(tags::IMAGER_PIXEL_SPACING),
             pixel_spacing_mm: self.spacing(tags::PIXEL_SPACING),
+            // The vertical side comes first, as in spacings.
+            pixel_aspect: self.spacing(tags::PIXEL_ASPECT_RATIO),
             sid_mm: self.positive(tags::DISTANCE_SOURCE_TO_DETECTOR),
             sod_mm: self.positive(tags::DISTANCE_SOURCE_TO_PATIENT),
+            magnification: self.positive(tags::ESTIMATED_RADIOGRAPHIC_MAGNIFICATION_FACTOR),
             kvp: self.positive(tags::KVP),
             tube_ma: self.positive(tags::X_RAY_TUBE_CURRENT),
             exposure_ms: self.positive(tags::EXPOSURE_TIME),
@@ -295,9 +346,13 @@ impl<'a> TagReader<'a> {
             primary_deg: self.number(tags::POSITIONER_PRIMARY_ANGLE),
             secondary_deg: self.number(tags::POSITIONER_SECONDARY_ANGLE),
             filter: self.filter(),
-            collimator: self.collimator(),
+            collimator: self.opening(&COLLIMATOR),
+            display_shutter: self.opening(&DISPLAY_SHUTTER),
             field_of_view_mm: self.field_of_view(),
             intensifier_mm: self.positive(tags::INTENSIFIER_SIZE),
+            receptor: self.term(tags::X_RAY_RECEPTOR_TYPE, "receptor"),
+            detector_type: self.term(tags::DETECTOR_TYPE, "detector_type"),
+            field_of_view_shape: self.term(tags::FIELD_OF_VIEW_SHAPE, "field_of_view_shape"),
             field_of_view_rotation_deg: self.number(tags::FIELD_OF_VIEW_ROTATION),
             field_of_view_flipped: self.yes(tags::FIELD_OF_VIEW_HORIZONTAL_FLIP),
             photometric: self.term(tags::PHOTOMETRIC_INTERPRETATION, "photometric"),

@@ -22,7 +22,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 45] = [
+pub const KEPT_TAGS: [KeptTag; 59] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -33,7 +33,8 @@ pub const KEPT_TAGS: [KeptTag; 45] = [
     kept(tags::TIMEZONE_OFFSET_FROM_UTC, "timezone_offset_min", "turns the console's clock into UTC"),
     kept(tags::KVP, "kvp", "spectrum"),
     kept(tags::DISTANCE_SOURCE_TO_DETECTOR, "sid_mm", "focal length"),
-    kept(tags::DISTANCE_SOURCE_TO_PATIENT, "sod_mm", "magnification"),
+    kept(tags::DISTANCE_SOURCE_TO_PATIENT, "sod_mm", "depth of the specimen, against the pose's"),
+    kept(tags::ESTIMATED_RADIOGRAPHIC_MAGNIFICATION_FACTOR, "magnification", "depth of the specimen, against the pose's"),
     kept(tags::EXPOSURE_TIME, "exposure_ms", "length of the exposure interval"),
     kept(tags::FRAME_TIME, "frame_time_ms", "from image to image of a run"),
     kept(tags::X_RAY_TUBE_CURRENT, "tube_ma", "dose"),
@@ -50,10 +51,23 @@ pub const KEPT_TAGS: [KeptTag; 45] = [
     kept(tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE, "collimator", "open field, against telemetry's"),
     kept(tags::CENTER_OF_CIRCULAR_COLLIMATOR, "collimator", "open field, against telemetry's"),
     kept(tags::RADIUS_OF_CIRCULAR_COLLIMATOR, "collimator", "open field, against telemetry's"),
+    kept(tags::VERTICES_OF_THE_POLYGONAL_COLLIMATOR, "collimator", "open field, against the picture's"),
+    kept(tags::SHUTTER_SHAPE, "display_shutter", "which of the next seven hold"),
+    kept(tags::SHUTTER_LEFT_VERTICAL_EDGE, "display_shutter", "open field, against the picture's"),
+    kept(tags::SHUTTER_RIGHT_VERTICAL_EDGE, "display_shutter", "open field, against the picture's"),
+    kept(tags::SHUTTER_UPPER_HORIZONTAL_EDGE, "display_shutter", "open field, against the picture's"),
+    kept(tags::SHUTTER_LOWER_HORIZONTAL_EDGE, "display_shutter", "open field, against the picture's"),
+    kept(tags::CENTER_OF_CIRCULAR_SHUTTER, "display_shutter", "open field, against the picture's"),
+    kept(tags::RADIUS_OF_CIRCULAR_SHUTTER, "display_shutter", "open field, against the picture's"),
+    kept(tags::VERTICES_OF_THE_POLYGONAL_SHUTTER, "display_shutter", "open field, against the picture's"),
     kept(tags::FIELD_OF_VIEW_DIMENSIONS, "field_of_view_mm", "the part of the panel that is shown, against telemetry's field"),
     kept(tags::INTENSIFIER_SIZE, "intensifier_mm", "evidence of an image intensifier: distortion and processing"),
+    kept(tags::X_RAY_RECEPTOR_TYPE, "receptor", "image intensifier or flat panel"),
+    kept(tags::DETECTOR_TYPE, "detector_type", "that there is a flat panel, where an intensifier's size is given as well"),
+    kept(tags::FIELD_OF_VIEW_SHAPE, "field_of_view_shape", "that of an intensifier is round"),
     kept(tags::IMAGER_PIXEL_SPACING, "pitch_mm", "pixel pitch at the detector"),
     kept(tags::PIXEL_SPACING, "pixel_spacing_mm", "pixel pitch at the object, where calibrated"),
+    kept(tags::PIXEL_ASPECT_RATIO, "pixel_aspect", "whether pixels are square, against K"),
     kept(tags::POSITIONER_PRIMARY_ANGLE, "primary_deg", "pose prior, + is LAO"),
     kept(tags::POSITIONER_SECONDARY_ANGLE, "secondary_deg", "pose prior, + is cranial"),
     kept(tags::FIELD_OF_VIEW_ROTATION, "field_of_view_rotation_deg", "how the console turned the image"),
@@ -86,12 +100,18 @@ pub struct FrameTags {
     /// Pixel spacing (0028,0030) along u and v: at the detector or calibrated at the object, the file does not always say.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pixel_spacing_mm: Option<[f64; 2]>,
+    /// Sides of a pixel along u and v, each by the same unknown unit, from pixel aspect ratio (0028,0034).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pixel_aspect: Option<[f64; 2]>,
     /// Source to detector.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sid_mm: Option<f64>,
     /// Source to patient.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sod_mm: Option<f64>,
+    /// Of the picture at the detector over the patient, as the console estimates it (0018,1114).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub magnification: Option<f64>,
     /// Tube voltage.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kvp: Option<f64>,
@@ -137,12 +157,24 @@ pub struct FrameTags {
     /// What the shutters leave open, in pixels of the picture as stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collimator: Option<CollimatorTags>,
+    /// What the console shows of the picture, in the same pixels; what lies outside may be in the picture all the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub display_shutter: Option<CollimatorTags>,
     /// The picture's extent at the detector along u and v as stored, or its diameter twice (0018,1149).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field_of_view_mm: Option<[f64; 2]>,
     /// Diameter of the image intensifier.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intensifier_mm: Option<f64>,
+    /// `IMG_INTENSIFIER` or `DIGITAL_DETECTOR` (0018,9420).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub receptor: Option<String>,
+    /// `DIRECT`, `SCINTILLATOR`, `STORAGE` or `FILM` (0018,7004).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detector_type: Option<String>,
+    /// `ROUND`, `RECTANGLE` or `HEXAGONAL` (0018,1147).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_of_view_shape: Option<String>,
     /// Clockwise rotation that the console applied; not undone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field_of_view_rotation_deg: Option<f64>,
@@ -185,6 +217,21 @@ impl FrameTags {
     pub fn names_same_exposure(&self, other: &Self) -> bool {
         let said = |tags: &Self| (tags.acquired_local_us(), tags.exposure_counter, tags.instance_number, tags.study.clone());
         self.acquired_local_us().is_some_and(|us| us % 1_000_000 != 0) && said(self) == said(other)
+    }
+
+    /// In words, which attribute says that an image intensifier took the picture. Consoles of flat panels write the size of one as well, for that
+    /// of their field: beside any word of a flat panel it says nothing.
+    #[must_use]
+    pub fn names_intensifier(&self) -> Option<String> {
+        match self.receptor.as_deref() {
+            Some("IMG_INTENSIFIER") => return Some("X-ray receptor type (0018,9420) is IMG_INTENSIFIER".to_owned()),
+            Some(_) => return None,
+            None => {}
+        }
+        let is_panel = matches!(self.detector_type.as_deref(), Some("DIRECT" | "SCINTILLATOR" | "STORAGE"))
+            || self.field_of_view_shape.as_deref() == Some("RECTANGLE");
+        let size_mm = self.intensifier_mm.filter(|_| !is_panel)?;
+        Some(format!("intensifier size (0018,1162) is {size_mm} mm"))
     }
 
     /// When the frame was acquired by the console's clock, microseconds since the Unix epoch; `None` unless the file gives date, time and
@@ -231,6 +278,26 @@ mod tests {
         assert_eq!(tags.acquired_us(), Some(1_795_237_262_250_000 + 4 * 3_600_000_000));
         tags.acquired_date = Some("20261321".into());
         assert_eq!(tags.acquired_local_us(), None, "month 13");
+    }
+
+    /// Consoles of flat panels give the size of their field as an intensifier's.
+    #[test]
+    fn an_intensifier_is_named_unless_a_flat_panel_is_named_too() {
+        let text = |word: &str| Some(word.to_owned());
+        let sized = FrameTags { intensifier_mm: Some(229.0), ..FrameTags::default() };
+        assert!(sized.names_intensifier().is_some_and(|words| words.contains("(0018,1162) is 229 mm")));
+        let round = FrameTags { field_of_view_shape: text("ROUND"), ..sized.clone() };
+        assert!(round.names_intensifier().is_some());
+        let typed = FrameTags { receptor: text("IMG_INTENSIFIER"), ..FrameTags::default() };
+        assert!(typed.names_intensifier().is_some_and(|words| words.contains("(0018,9420)")));
+        for panel in [
+            FrameTags::default(),
+            FrameTags { receptor: text("DIGITAL_DETECTOR"), ..sized.clone() },
+            FrameTags { detector_type: text("SCINTILLATOR"), ..sized.clone() },
+            FrameTags { field_of_view_shape: text("RECTANGLE"), ..sized.clone() },
+        ] {
+            assert_eq!(panel.names_intensifier(), None, "{panel:?}");
+        }
     }
 
     #[test]

@@ -72,6 +72,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     if let Some(words) = seen.off_header(&pose) {
         pose.doubt(words);
     }
+    pose.hear_header(&seen.frame, intensifier.is_some());
     given.pass_doubt_on(0, &mut pose);
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {

@@ -33,6 +33,9 @@ pub(super) fn told(intrinsics: Option<&Path>, seen: &Seen, masks: &Masks) -> Vec
     if let Some(collimator) = &tags.collimator {
         say("open field by the header", words_of(collimator), false, "the picture's own edges count".to_owned());
     }
+    if let Some(shutter) = &tags.display_shutter {
+        say("display shutter by the header", words_of(shutter), false, "the picture's own edges count".to_owned());
+    }
     if let (Some(primary), Some(secondary)) = (tags.primary_deg, tags.secondary_deg) {
         let why = "they do not say where the specimen lies; --prior says where the pose is expected";
         say("positioner angles by the header", format!("{primary}°, {secondary}°"), false, why.to_owned());
@@ -46,7 +49,8 @@ pub(super) fn told(intrinsics: Option<&Path>, seen: &Seen, masks: &Masks) -> Vec
 fn words_of(collimator: &CollimatorTags) -> String {
     let edges = collimator.edges_px.map(|[left, top, right, bottom]| format!("edges at {left}, {top}, {right}, {bottom} px"));
     let iris = collimator.radius_px.map(|radius| format!("iris of radius {radius} px"));
-    let all: Vec<String> = [edges, iris].into_iter().flatten().collect();
+    let polygon = (!collimator.corners_px.is_empty()).then(|| format!("polygon of {} corners", collimator.corners_px.len()));
+    let all: Vec<String> = [edges, iris, polygon].into_iter().flatten().collect();
     if all.is_empty() { "no numbers".to_owned() } else { all.join(", ") }
 }
 
@@ -114,6 +118,7 @@ mod tests {
             (tags.sid_mm, tags.pitch_mm, tags.kvp) = (Some(1000.0), Some([0.2; 2]), Some(80.0));
             (tags.primary_deg, tags.secondary_deg) = (Some(30.0), Some(-5.0));
             tags.collimator = Some(CollimatorTags { edges_px: Some([1.0, 2.0, 60.0, 40.0]), ..CollimatorTags::default() });
+            tags.display_shutter = Some(CollimatorTags { corners_px: vec![[1.0; 2]; 3], ..CollimatorTags::default() });
             Seen { frame, intrinsics: own, prior: None, pitch_mm: None, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
         };
         let words = |path: Option<&str>, own: Option<Intrinsics>| {
@@ -126,6 +131,7 @@ mod tests {
              5250.0 px, which is +5.0 % from it",
             "open field by the picture: no edge of one; beads are sought everywhere",
             "open field by the header: edges at 1, 2, 60, 40 px; not used: the picture's own edges count",
+            "display shutter by the header: polygon of 3 corners; not used",
             "positioner angles by the header: 30°, -5°; not used",
             "tube voltage by the header: 80 kVp; not used: P does not depend on it",
         ] {

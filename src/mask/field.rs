@@ -151,7 +151,8 @@ fn outline(signal: &Signal, cells: &Cells, thresholds: &[f32], told: &FieldShape
         .collect();
     let cell_px = cells.size_px.max_element();
     let lines = distinct_lines(found.iter().flat_map(|found| found.1.iter().copied()).collect(), cells);
-    let discs = distinct_discs(found.iter().filter_map(|found| found.2).collect(), cells);
+    let mut discs = distinct_discs(found.iter().filter_map(|found| found.2).collect(), cells);
+    discs.extend(told.disc);
     let shortest = signal.pixels.width.min(signal.pixels.height) as f64;
     let search_px = (1.5 * cell_px).max(6.0);
     let none = FieldShape::default();
@@ -181,7 +182,7 @@ fn outline(signal: &Signal, cells: &Cells, thresholds: &[f32], told: &FieldShape
     outline.prune(signal, cells);
     if outline.shape.disc.is_none() && !outline.edges.is_empty() {
         let arcs = found.par_iter().filter_map(|found| found.0.disc(cells, &outline.shape.half_planes)).collect();
-        for disc in distinct_discs(arcs, cells).into_iter().map(Edge::Circle) {
+        for disc in distinct_discs(arcs, cells).into_iter().chain(told.disc).map(Edge::Circle) {
             if disc.is_sound(signal.pixels.width, signal.pixels.height) {
                 outline.add(signal, cells, disc, search_px, least_px);
             }

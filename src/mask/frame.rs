@@ -4,6 +4,7 @@ use super::field::find_told_field;
 use super::layers::{Cause, Masks};
 use super::shape::FieldShape;
 use super::text::burned_in;
+use super::told::told_by_header;
 use crate::acquire::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use crate::acquire::{Domain, Frame};
 use crate::image::{Image, zip};
@@ -14,13 +15,17 @@ pub fn of_frame(frame: &Frame) -> Masks {
     of_told_frame(frame, &FieldShape::default())
 }
 
-/// [`of_frame`], where telemetry says that the edges of `told` are there.
+/// [`of_frame`], where telemetry says that the edges of `told` are there, besides those of the frame's own header.
 #[must_use]
 pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     let pixels = &frame.pixels;
+    let by_header = told_by_header(frame);
+    let mut told = told.clone();
+    told.half_planes.extend(by_header.half_planes);
+    told.disc = told.disc.or(by_header.disc);
     let mut masks = Masks::default();
     masks.add(Cause::NotMeasured, pixels.map(|v| !v.is_finite()));
-    if let Some(field) = find_told_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray(), told) {
+    if let Some(field) = find_told_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray(), &told) {
         masks.field = Some(field.description);
         masks.add(Cause::Collimation, field.outside);
     }

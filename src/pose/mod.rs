@@ -7,6 +7,7 @@
 mod accept;
 mod besides;
 mod bodies;
+mod by_header;
 mod case;
 mod cautions;
 mod doubt;

@@ -137,6 +137,12 @@ pub enum Refusal {
     /// Nothing matches.
     #[error("no_match: {shadows} bead-like shadows, but no pose puts four of the {beads} beads on them")]
     NoMatch { shadows: usize, beads: usize },
+    /// No linear value is one of X-rays.
+    #[error(
+        "no_signal: of linear values, which are above zero where X-rays arrived, the highest in the open field is {highest}; give --domain log if these \
+         are logarithms, or export the frame without its offset taken off"
+    )]
+    NoSignal { highest: f64 },
     /// The only match is where the prior says it cannot be.
     #[error(
         "prior_contradicted: the only match, {matched} beads to {rms_px:.2} px, is {angle_deg:.1}° and {shift_mm:.1} mm away from the prior, more than that allows; check prior, K, and the layout's scale, or leave the prior out (--ignore-prior)"

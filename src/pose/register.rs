@@ -75,7 +75,14 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
 pub fn register_looked(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
     let pose = match request.fault() {
         Some(fault) => request.refuse(&fault),
-        None => other_sense(request, frame, looked, either_polarity(request, frame, looked)),
+        None => {
+            let pose = other_sense(request, frame, looked, either_polarity(request, frame, looked));
+            let refusal = if pose.is_accepted() { None } else { no_signal(frame, &looked.usable) };
+            match refusal {
+                Some(refusal) => pose.refused_for(refusal),
+                None => pose,
+            }
+        }
     };
     pose.on_panel(frame)
 }
@@ -102,6 +109,14 @@ fn either_polarity(request: &Registration, frame: &Frame, looked: &Looked) -> Po
         }
     }
     pose
+}
+
+/// That linear values are of something else: none is above zero, and they are not those of a panel without X-rays, zero all over.
+fn no_signal(frame: &Frame, usable: &Image<bool>) -> Option<Refusal> {
+    let open = frame.pixels.pixels.iter().zip(&usable.pixels).filter(|(value, usable)| **usable && value.is_finite());
+    let (lowest, highest) = open.fold((f32::MAX, f32::MIN), |(low, high), (value, _)| (low.min(*value), high.max(*value)));
+    let is_none = frame.domain == Domain::Linear && highest <= 0.0 && lowest < 0.0 && lowest <= highest;
+    is_none.then(|| Refusal::NoSignal { highest: f64::from(highest) })
 }
 
 /// A refused pose of a frame whose domain says what metal is, where the beads match the other way round.

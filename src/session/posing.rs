@@ -324,6 +324,7 @@ impl PoseJob {
         if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
             pose.doubt(words.clone());
         }
+        pose.hear_header(&self.bound.frame, self.intensifier.is_some());
         pose
     }
 

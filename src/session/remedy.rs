@@ -53,7 +53,9 @@ pub(super) fn of_refusal(refusal: &Refusal) -> &'static str {
         Refusal::Distorted { .. } | Refusal::Distortion { .. } => {
             "calibrate the image intensifier in this field and at these angles"
         }
-        Refusal::Sense { .. } => "check the frame's domain: the session's \"domain\", or the console's look-up table",
+        Refusal::Sense { .. } | Refusal::NoSignal { .. } => {
+            "check the frame's domain: the session's \"domain\", or the console's look-up table"
+        }
         Refusal::Pixels { .. } => "undo what stretched the picture on its way: the aspect of a video grabber or of an export",
         Refusal::Intrinsics { .. } | Refusal::IntrinsicsContradicted { .. } | Refusal::FocalDegenerate { .. } => {
             "check the calibration of the arm: SID, pitch, binning, crop"

@@ -1,6 +1,6 @@
 //! What the shutters leave open, by telemetry, by the frame's tags and in its pixels: each against the others.
 
-use glam::{DAffine2, DMat2, DVec2};
+use glam::{DAffine2, DVec2};
 
 use super::finding::Finding;
 use crate::acquire::{CollimatorShape, CollimatorTags, Frame};
@@ -80,14 +80,7 @@ impl Place {
         }
         let [file_px, panel_px] = [stored_px, panel_px].map(|size_px| DVec2::from_array(size_px.map(f64::from)));
         let from_middle = DAffine2::from_translation(-0.5 * (panel_px - DVec2::ONE));
-        let console_from_file = if frame.unmirrored && !console.is_mirrored() {
-            // The import has put mirrored columns back in order; the console is declared for what came of it.
-            DAffine2::from_mat2_translation(DMat2::from_diagonal(DVec2::new(-1.0, 1.0)), DVec2::new(file_px.x - 1.0, 0.0))
-        } else {
-            DAffine2::IDENTITY
-        };
-        let panel_from_console = console.detector_from_image(stored_px);
-        let panel_from_file = DAffine2::from_scale(DVec2::splat(pitch_mm)) * from_middle * panel_from_console * console_from_file;
+        let panel_from_file = DAffine2::from_scale(DVec2::splat(pitch_mm)) * from_middle * frame.panel_from_file();
         let frame_mm = sides(&panel_from_file, [-0.5, -0.5, file_px.x - 0.5, file_px.y - 0.5]);
         let half_mm = 0.5 * pitch_mm * panel_px;
         let shown_mm = within(frame_mm, [-half_mm.x, -half_mm.y, half_mm.x, half_mm.y]);

@@ -380,6 +380,9 @@ impl Engine {
                 if let Some(words) = hearing.clock(device, timeline.clock_stretch(device)) {
                     reporter.warn("device clock", words);
                 }
+                if let Some(words) = hearing.rate(device, timeline.wrong_clock_rate(device)) {
+                    reporter.warn("device clock rate", words);
+                }
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),

@@ -204,6 +204,8 @@ mod igtl_peer;
 mod igtl_server;
 #[cfg(unix)]
 mod igtl_session;
+#[cfg(unix)]
+mod igtl_silence;
 mod session_late;
 mod session_loading;
 mod session_moved;

@@ -32,7 +32,7 @@ pub struct Posed {
     pub development: u32,
     /// The frame.
     pub frame: Arc<Frame>,
-    /// Middle of the exposure, or the arrival where it is not bound; host time.
+    /// When in its exposure it was taken, or the arrival where it is not bound; host time.
     pub time_us: i64,
     /// Which exposure, and why.
     pub binding: Binding,
@@ -115,7 +115,7 @@ impl Bound {
             .and_then(joints_at)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
         let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
-        // Of an image of a run: the joints at its beginning, in its middle, and at its end.
+        // Of an image of a run, and of the last one held: the joints at its beginning, in its middle, and at its end.
         let within: Option<Vec<CarmJoints>> = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
             let times_us = [mid_us.saturating_sub(half_us), mid_us, mid_us.saturating_add(half_us)];
             times_us.into_iter().map(|us| joints_at(us).map(|answer| answer.value)).collect()

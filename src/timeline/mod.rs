@@ -28,7 +28,7 @@ mod travel;
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;
-pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence};
+pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence, LONG_BEAM_US};
 pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
 pub use judgement::NO_EXPOSURE;
 pub use rate::unit_of_clock;

@@ -21,7 +21,7 @@ use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
-use crate::timeline::{Binding, BindingFlag, Support, Timeline};
+use crate::timeline::{Binding, BindingFlag, Gap, Support, Timeline};
 
 /// A frame with everything known about when and where it was taken.
 #[derive(Clone, Debug)]
@@ -131,7 +131,8 @@ impl Bound {
             binding: match within {
                 Some(joints) => binding.moved_within(&joints),
                 None => binding,
-            },
+            }
+            .across(joints.as_ref().and(mid_us).and_then(|mid_us| Gap::around(timeline, mid_us))),
             robot,
         }
     }
@@ -327,9 +328,10 @@ impl PoseJob {
         pose
     }
 
-    /// Camera in the specimen by telemetry alone.
+    /// Camera in the specimen by telemetry alone, where the joints are no mere guess.
     fn nominal(&self) -> Option<Rigid> {
-        self.camera_from_world.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
+        let told = self.camera_from_world.filter(|_| !self.bound.binding.is_no_prior());
+        told.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
     }
 
     /// Telemetry as a measurement, where the session fuses it and it is as good as the arm's calibration says: the joints are those of the
@@ -344,6 +346,7 @@ impl PoseJob {
             || self.known.tie_disputed
             || self.intrinsics.is_none()
             || matches!(self.intensifier, Some(Err(_)))
+            || self.bound.binding.is_guessed()
             || self.bound.binding.flags.iter().any(unsure)
         {
             return None;
@@ -360,7 +363,7 @@ impl PoseJob {
         };
         // world_from_lps = world_from_camera · camera_from_lps.
         let world_from_lps = match (pose_source, camera, self.camera_from_world) {
-            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
+            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) if !self.bound.binding.is_guessed() => {
                 // A pose that telemetry has drawn to itself would agree with it ever after.
                 let by_beads = pose.innovation.map_or(camera_from_lps, |innovation| innovation.camera_from_lps);
                 Some(camera_from_world.inverse() * by_beads)

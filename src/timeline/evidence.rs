@@ -121,6 +121,17 @@ pub enum BindingFlag {
         /// Its length.
         gap_us: i64,
     },
+    /// A joint moved while telemetry was silent around the frame's time; mm or degrees.
+    MovedInGap {
+        /// Which moved most.
+        joint: &'static str,
+        /// By how much.
+        moved: f64,
+        /// From where on it matters.
+        limit: f64,
+        /// For how long nothing was heard.
+        gap_us: i64,
+    },
     /// Beam on or beam off fell into a gap: the interval is as long as it can be.
     OpenEnds,
     /// Only the C-arm's counter tells of the exposure.
@@ -167,6 +178,11 @@ impl std::fmt::Display for BindingFlag {
         match self {
             Self::Moved { joint, moved, limit } => write!(f, "{joint} moved by {moved:.2} during the exposure (limit {limit})"),
             Self::TelemetryGap { gap_us } => write!(f, "joints are interpolated over {} without telemetry", seconds(*gap_us)),
+            Self::MovedInGap { joint, moved, limit, gap_us } => write!(
+                f,
+                "{joint} moved by {moved:.2} while nothing was heard of the C-arm for {}: where it was is not known (limit {limit})",
+                seconds(*gap_us)
+            ),
             Self::OpenEnds => f.write_str("beam on or off fell into a gap of telemetry"),
             Self::Unseen { within_us } => {
                 write!(f, "telemetry missed the exposure; only its counter tells of it, within {}", seconds(*within_us))
@@ -201,7 +217,7 @@ pub struct Binding {
 }
 
 /// Joints that moved farther than this during an exposure are flagged: mm and degrees.
-const MOVED_LIMITS: [(&str, f64); 7] = [
+pub(super) const MOVED_LIMITS: [(&str, f64); 7] = [
     ("lift", 0.5),
     ("wig-wag", 0.2),
     ("longitudinal", 0.5),
@@ -211,7 +227,7 @@ const MOVED_LIMITS: [(&str, f64); 7] = [
     ("source to detector", 0.5),
 ];
 /// Joints from samples farther apart than this are flagged.
-const GAP_LIMIT_US: i64 = 200_000;
+pub(super) const GAP_LIMIT_US: i64 = 200_000;
 /// No radiograph takes so long: what is exposed for longer is fluoroscopy, and a picture of it may be of any moment.
 pub const LONG_BEAM_US: i64 = 1_000_000;
 /// The last image held is of pulses up to twice as long before the beam's end: consoles average a few.
@@ -317,7 +333,7 @@ impl Binding {
 }
 
 /// Whether the joint in this place of [`MOVED_LIMITS`] turns.
-fn is_angle(i: usize) -> bool {
+pub(super) fn is_angle(i: usize) -> bool {
     matches!(i, 1 | 3 | 4 | 5)
 }
 

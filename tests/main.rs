@@ -209,6 +209,8 @@ mod igtl_silence;
 mod session_late;
 mod session_loading;
 mod session_moved;
+#[cfg(unix)]
+mod session_mtimes;
 mod session_optics;
 #[cfg(feature = "learn")]
 mod session_materials;

@@ -211,6 +211,8 @@ mod session_loading;
 mod session_moved;
 #[cfg(unix)]
 mod session_mtimes;
+#[cfg(unix)]
+mod session_held;
 mod session_optics;
 #[cfg(feature = "learn")]
 mod session_materials;

@@ -59,7 +59,9 @@ impl Silent {
             DeviceKind::Robot => "BaseToLps, TipToLps and Tip stand",
         };
         match ever {
-            true => format!("the {device} is not heard any more, {stand} as it was then; check the device, its cable and port"),
+            true => {
+                format!("the {device} is not heard any more, {stand} where it was then; check the device, its cable and port")
+            }
             false => format!("nothing has come from the {device} yet; is it on, and is this its port?"),
         }
     }

@@ -125,10 +125,14 @@ impl Hearing {
         line.rate = Some(rate);
         let remedy = match unit_of_clock(rate) {
             Some(unit) => {
-                format!("does it send {unit}? Have it send microseconds, or declare the unit where its lines are declared (`device_time`)")
+                format!(
+                    "does it send {unit}? Have it send microseconds, or declare the unit where its lines are declared (`device_time`)"
+                )
             }
             None if rate > 1.0 => "it is fast, or counts in a unit of its own; set the device's clock right".to_owned(),
-            None => "it is slow, or its data come later and later; check the device's clock, and the speed of its line".to_owned(),
+            None => {
+                "it is slow, or its data come later and later; check the device's clock, and the speed of its line".to_owned()
+            }
         };
         Some(format!(
             "the {device}'s clock advances {} where 1 s passes, so what it says is tied to exposures at wrong times or not at all: {remedy}",
@@ -201,7 +205,9 @@ impl Hearing {
             }
             if let Some(rate) = line.rate {
                 let advance = advance(rate);
-                words.push(format!("{device}: its clock advanced {advance} where 1 s passed; what it said has no time to rely on"));
+                words.push(format!(
+                    "{device}: its clock advanced {advance} where 1 s passed; what it said has no time to rely on"
+                ));
             }
         }
         words

@@ -334,9 +334,7 @@ mod tests {
         // The control: nothing says that it is the last image.
         let plain = at(3_200_000, Vec::new());
         assert!((plain.control_angles_deg[3] - 0.8).abs() < 0.1, "{plain:?}");
-        let is_said = |cautions: &[RobotCaution]| {
-            matches!(cautions, [RobotCaution::Bent { point: 3, .. }, RobotCaution::InMiddle { beam_us: of }] if *of == beam_us)
-        };
+        let is_said = |cautions: &[RobotCaution]| matches!(cautions, [RobotCaution::Bent { point: 3, .. }, RobotCaution::InMiddle { beam_us: of }] if *of == beam_us);
         assert!(is_said(&plain.cautions), "{plain:?}");
         assert!(plain.cautions[1].to_string().contains("in the middle of a beam of 4.4 s"), "{}", plain.cautions[1]);
         // While it still bends, the last image shows that it does.

@@ -28,7 +28,7 @@ fn apart_mm(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// The address that the program says.
-fn address(words: &str) -> Option<std::net::SocketAddr> {
+pub fn address(words: &str) -> Option<std::net::SocketAddr> {
     words.split("OpenIGTLink listens on ").nth(1)?.split_whitespace().next()?.parse().ok()
 }
 

@@ -204,9 +204,15 @@ mod igtl_peer;
 mod igtl_server;
 #[cfg(unix)]
 mod igtl_session;
+#[cfg(unix)]
+mod igtl_silence;
 mod session_late;
 mod session_loading;
 mod session_moved;
+#[cfg(unix)]
+mod session_mtimes;
+#[cfg(unix)]
+mod session_held;
 mod session_optics;
 #[cfg(feature = "learn")]
 mod session_materials;

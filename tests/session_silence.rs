@@ -16,10 +16,15 @@ fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
 fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
     let (unheard, without) = ("nothing to be used from the C-arm for 3 s", "frames that came meanwhile have no telemetry of it");
     // What is played, what is said while it happens, what the report says was lost.
-    let cases: [(&str, &[&str], Option<&str>); 6] = [
+    let cases: [(&str, &[&str], Option<&str>); 7] = [
         ("carm:mute@0.3", &[unheard], Some(without)),
         ("carm:gone@0.3", &[unheard], Some(without)),
         ("carm:freeze@0.3", &["the C-arm's clock stands still"], Some("C-arm: its clock stood still for")),
+        (
+            "carm:millis@0",
+            &["the C-arm's clock advances", "where 1 s passes", "does it send milliseconds?"],
+            Some("C-arm: its clock advanced"),
+        ),
         ("robot:mute@0.3", &["nothing to be used from the robot for 3 s"], Some("robot: silent for")),
         (
             "robot:restart@0.5,carm:jump@0.4",
@@ -37,7 +42,7 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
                 let Some((code, words, report)) = run.join().expect("played") else { return };
                 let all = format!("{faults}: exit code {code:?}\n{words}");
                 assert!(said.iter().all(|said| words.contains(said)), "{all}");
-                let any = ["began anew", "clock jumped", "nothing to be used", "stands still"];
+                let any = ["began anew", "clock jumped", "nothing to be used", "stands still", "clock advances"];
                 assert!(!said.is_empty() || !any.iter().any(|any| words.contains(any)), "{all}");
                 match lost {
                     Some(lost) => assert!(code == Some(3) && report.contains(lost), "{all}\n{report}"),

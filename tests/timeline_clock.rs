@@ -2,7 +2,7 @@
 
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::telemetry::Sequenced::{self, Next};
-use sidecarm::timeline::{ClockMap, DeviceClock, MAX_DRIFT, Placed, SegmentStart};
+use sidecarm::timeline::{ClockMap, DeviceClock, MAX_DRIFT, Placed, SegmentStart, unit_of_clock};
 
 const T0_US: i64 = 1_700_000_000_000_000;
 
@@ -235,4 +235,71 @@ fn a_clock_that_stood_still_is_uncertain_by_that_and_then_mapped_anew() {
         let error_us = map.host_from_device_us(even[i].0) - even[i].2;
         assert!(error_us.abs() < 1_000, "sample {i}: off by {error_us}");
     }
+}
+
+/// What is told of the rate of a clock with these stamps, and after how many of them first.
+fn told_rate(stamps: &[(i64, i64)]) -> Option<(usize, f64)> {
+    let mut clock = DeviceClock::default();
+    stamps.iter().enumerate().find_map(|(i, (device_us, host_us))| {
+        clock.observe(0, Next, i as u32, *device_us, *host_us);
+        Some((i, clock.latest()?.wrong_rate()?))
+    })
+}
+
+/// A clock that counted milliseconds had all samples at the session's first moment, one that ran 6 % fast was never thought to have caught up:
+/// all that was said was that frames could not be tied.
+#[test]
+fn a_clock_that_counts_another_unit_or_runs_fast_is_told_by_its_rate() {
+    let mut cases = 0;
+    for (rate, unit, within_s) in [
+        (1e-3, Some("milliseconds"), 6),
+        (1e3, Some("nanoseconds"), 6),
+        (10.0, Some("units of 100 ns"), 6),
+        (1.06, None, 13),
+        (0.94, None, 13),
+        (1.004, None, 110),
+    ] {
+        let of_rate: Vec<(i64, i64)> = stamps(21, 0.0, 120.0, 100.0, 2_000.0)
+            .into_iter()
+            .map(|(device, host, _)| (((device - 5_000_000) as f64 * rate) as i64, host))
+            .collect();
+        let (told, found) = told_rate(&of_rate).unwrap_or_else(|| panic!("nothing is told of a rate of {rate}"));
+        assert!((found / rate - 1.0).abs() < 0.01 && told < 100 * within_s, "{rate}: {found} after {told} samples");
+        assert_eq!(unit_of_clock(found), unit, "{rate}");
+        // Of the second opening of its port the same is told, and what had waited in front of it changes nothing.
+        let mut waited = of_rate.clone();
+        let release_us = waited[60].1;
+        waited[..60].iter_mut().for_each(|stamp| stamp.1 = release_us);
+        assert!(told_rate(&waited).is_some_and(|(_, found)| (found / rate - 1.0).abs() < 0.01), "{rate}, behind a backlog");
+        cases += 1;
+    }
+    assert_eq!(cases, 6);
+}
+
+/// The controls: what is late, what waits and what stands still is no rate.
+#[test]
+fn crystals_backlogs_pauses_and_halts_are_no_wrong_rate() {
+    let even = stamps(22, 200.0, 300.0, 100.0, 2_000.0);
+    let late = |late_us: &dyn Fn(i64) -> i64| -> Vec<(i64, i64)> {
+        even.iter().enumerate().map(|(i, (device, host, _))| (*device, host + late_us(i as i64))).collect()
+    };
+    let cases: [(&str, Vec<(i64, i64)>); 7] = [
+        ("200 ppm", late(&|_| 0)),
+        // What had waited in front of the port comes at once; two and a half seconds are worked off later, a tenth faster than it is sent.
+        ("waited", late(&|i| (900_000 - 10_000 * i).max(0))),
+        ("worked off", late(&|i| if i < 2_000 { 0 } else { (2_500_000 - 1_000 * (i - 2_000)).max(0) })),
+        ("halted", late(&|i| if i < 1_500 { 0 } else { 200_000 })),
+        ("stalls", late(&|i| if i % 700 < 60 { 600_000 - 10_000 * (i % 700) } else { 0 })),
+        ("frozen at once", even.iter().map(|(_, host, _)| (5_000_000, *host)).collect()),
+        ("frozen later", even.iter().map(|(device, host, _)| ((*device).min(25_000_000), *host)).collect()),
+    ];
+    for (what, stamps) in &cases {
+        assert_eq!(told_rate(stamps), None, "{what}");
+    }
+    // A device without a clock has the host's.
+    let mut clock = DeviceClock::of_host(20_000.0);
+    for (i, (_, host, _)) in even.iter().enumerate() {
+        clock.observe(0, Next, i as u32, *host, *host);
+    }
+    assert_eq!(clock.latest().and_then(|segment| segment.wrong_rate()), None);
 }

@@ -23,7 +23,7 @@ use crate::MockError;
 use crate::pty::Line;
 
 /// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`,
-/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`).
+/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Fast`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -55,11 +55,15 @@ pub enum FaultKind {
     Ahead,
     /// The same, an hour back, to zero at most.
     Back,
+    /// The device's clock counts milliseconds in place of microseconds.
+    Millis,
+    /// The device's clock runs 6 % fast.
+    Fast,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -74,6 +78,8 @@ impl FaultKind {
         Self::Jump,
         Self::Ahead,
         Self::Back,
+        Self::Millis,
+        Self::Fast,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -94,6 +100,8 @@ impl FaultKind {
             Self::Jump => "jump",
             Self::Ahead => "ahead",
             Self::Back => "back",
+            Self::Millis => "millis",
+            Self::Fast => "fast",
         }
     }
 }
@@ -181,9 +189,16 @@ impl Channel {
         }
         match self.due.pop_front() {
             // A clock is the device's, not the line's.
-            None | Some(FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump | FaultKind::Ahead | FaultKind::Back) => {
-                self.line.write(packet);
-            }
+            None
+            | Some(
+                FaultKind::Freeze
+                | FaultKind::Restart
+                | FaultKind::Jump
+                | FaultKind::Ahead
+                | FaultKind::Back
+                | FaultKind::Millis
+                | FaultKind::Fast,
+            ) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),
             Some(FaultKind::Tear) => self.line.write(&packet[..packet.len() / 2]),

@@ -119,6 +119,8 @@ pub fn play(
                     FaultKind::Jump => sender.epoch_us += JUMP_US,
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
                     FaultKind::Back => sender.epoch_us = sender.epoch_us.saturating_sub(HOUR_US),
+                    FaultKind::Millis => sender.run_clock_at(now_s, 1e-3),
+                    FaultKind::Fast => sender.run_clock_at(now_s, 1.06),
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));
@@ -203,6 +205,8 @@ struct Sender {
     frozen_s: Option<f64>,
     /// When it was switched on.
     began_s: f64,
+    /// Seconds that its clock advances in one, but for `ppm`.
+    clock_rate: f64,
 }
 
 /// The list of what was sent.
@@ -263,6 +267,7 @@ impl Sender {
             oddities: performance.oddities.clone(),
             frozen_s: None,
             began_s: 0.0,
+            clock_rate: 1.0,
         }
     }
 
@@ -281,12 +286,22 @@ impl Sender {
         now_s >= self.stall_s[0]
     }
 
-    fn stamp(&mut self, at_s: f64) -> Stamp {
+    /// What the clock shows.
+    fn device_us(&self, at_s: f64) -> u64 {
         let clock_s = self.frozen_s.map_or(at_s, |frozen_s| at_s.min(frozen_s));
         // What is sent late is of before the start.
         let clock_s = (clock_s - self.began_s).max(0.0);
-        let device_us = self.epoch_us + (clock_s * 1e6 * (1.0 + self.ppm * 1e-6)) as u64;
-        let stamp = Stamp { sequence: self.sequence, device_us };
+        self.epoch_us + (clock_s * 1e6 * self.clock_rate * (1.0 + self.ppm * 1e-6)) as u64
+    }
+
+    /// From `now_s` on the clock advances by `rate` seconds in one.
+    fn run_clock_at(&mut self, now_s: f64, rate: f64) {
+        self.epoch_us = self.device_us(now_s);
+        (self.began_s, self.clock_rate) = (now_s, rate);
+    }
+
+    fn stamp(&mut self, at_s: f64) -> Stamp {
+        let stamp = Stamp { sequence: self.sequence, device_us: self.device_us(at_s) };
         self.sequence = self.sequence.wrapping_add(1);
         stamp
     }

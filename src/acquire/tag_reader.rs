@@ -335,6 +335,7 @@ impl<'a> TagReader<'a> {
             kvp: self.positive(tags::KVP),
             tube_ma: self.positive(tags::X_RAY_TUBE_CURRENT),
             exposure_ms: self.positive(tags::EXPOSURE_TIME),
+            radiation_setting: self.term(tags::RADIATION_SETTING, "radiation_setting"),
             frame_time_ms: self.positive(tags::FRAME_TIME),
             exposure_uas: self.positive(tags::EXPOSURE_INU_AS).or(exposure_mas.map(|mas| mas * 1000.0)),
             exposure_counter: self.counter(tags::ACQUISITION_NUMBER),

@@ -22,7 +22,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 59] = [
+pub const KEPT_TAGS: [KeptTag; 60] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -36,6 +36,7 @@ pub const KEPT_TAGS: [KeptTag; 59] = [
     kept(tags::DISTANCE_SOURCE_TO_PATIENT, "sod_mm", "depth of the specimen, against the pose's"),
     kept(tags::ESTIMATED_RADIOGRAPHIC_MAGNIFICATION_FACTOR, "magnification", "depth of the specimen, against the pose's"),
     kept(tags::EXPOSURE_TIME, "exposure_ms", "length of the exposure interval"),
+    kept(tags::RADIATION_SETTING, "radiation_setting", "SC or GR: fluoroscopy, whose last image is held, or a radiograph"),
     kept(tags::FRAME_TIME, "frame_time_ms", "from image to image of a run"),
     kept(tags::X_RAY_TUBE_CURRENT, "tube_ma", "dose"),
     kept(tags::EXPOSURE, "exposure_uas", "dose, in mAs, when the finer attribute is missing"),
@@ -121,6 +122,9 @@ pub struct FrameTags {
     /// Exposure time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_ms: Option<f64>,
+    /// `SC`, the low dose of fluoroscopy, or `GR`, that of a radiograph (0018,1155).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radiation_setting: Option<String>,
     /// From image to image of a run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_time_ms: Option<f64>,

@@ -11,17 +11,20 @@
 //! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair of an accepted pose whose pixel pitch is known |
 //! | `AcquiredUnplaced`, `DrrUnplaced` | IMAGE | the same of a frame that lies nowhere: under a name of its own, which no transform moves | each other pair |
 //! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees, or it is in doubt |
-//! | `Sidecarm` | STATUS | the same in a code: 1 accepted, 2 refused or doubted, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
+//! | `Telemetry` | STRING | that a device is not heard any more, or again | when it is so |
+//! | `Sidecarm` | STATUS | both in a code: 1 accepted, 2 refused, doubted or a device not heard, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
 //!
 //! `AToB` takes points from A to B. Stamps are those of the exposure (its middle), of telemetry those of its arrival. A frame without an
 //! accepted pose gives no transform, and its pictures lie nowhere: pixels 1 apart, the first at the origin. Those of an accepted one lie on
-//! the detector in the camera's frame. Of frames that are developed late, the newer one's transforms and pictures stand.
+//! the detector in the camera's frame. Of frames that are developed late, the newer one's transforms and pictures stand. The protocol cannot
+//! take a transform back: that those of a silent device are old, the status says for as long as it is so.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
 use super::developed::Developed;
+use super::engine::Engine;
 use super::posing::Posed;
 use super::servers::IgtlServer;
 use super::whereabouts::Whereabouts;
@@ -30,10 +33,49 @@ use crate::igtl::{Content, Message, Picture, Placement, Server, Status};
 use crate::image::Image;
 use crate::report::{PoseSource, Standing};
 use crate::reporter::Reporter;
-use crate::telemetry::{AngleSource, CarmSample, RobotSample, Sample};
+use crate::telemetry::{AngleSource, CarmSample, DeviceKind, RobotSample, Sample};
+use crate::timeline::{FreshLimits, Freshness};
 
 /// The name under which the status is sent.
 const DEVICE: &str = "Sidecarm";
+
+/// A device that said nothing for longer is not heard any more.
+const HEARD: FreshLimits = FreshLimits { stale_us: 1_000_000 };
+/// A device that has not said anything is not missed before.
+const BEGINS_US: i64 = 3_000_000;
+
+/// A device that is not heard, and whether it ever was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Silent {
+    device: DeviceKind,
+    ever: bool,
+}
+
+impl Silent {
+    fn words(self) -> String {
+        let Self { device, ever } = self;
+        let stand = match device {
+            DeviceKind::Carm => "CameraToWorld stands",
+            DeviceKind::Robot => "BaseToLps, TipToLps and Tip stand",
+        };
+        match ever {
+            true => {
+                format!("the {device} is not heard any more, {stand} where it was then; check the device, its cable and port")
+            }
+            false => format!("nothing has come from the {device} yet; is it on, and is this its port?"),
+        }
+    }
+}
+
+/// What is said of a frame while these devices are not heard: that comes first.
+fn beside(of_frame: &Status, silent: &[Silent]) -> Status {
+    if silent.is_empty() {
+        return of_frame.clone();
+    }
+    let devices: Vec<String> = silent.iter().map(|silent| silent.device.to_string()).collect();
+    let words = silent.iter().map(|silent| silent.words()).chain([of_frame.words.clone()]).collect::<Vec<_>>().join("; ");
+    Status { code: Status::ERROR, frame: of_frame.frame, name: format!("{} silent", devices.join(", ")), words }
+}
 
 /// Times of the newest exposure of which each was sent.
 struct Newest {
@@ -42,6 +84,19 @@ struct Newest {
     status_us: i64,
     /// Frames of which it was said that they are doubted, and what of.
     doubted: BTreeSet<(u32, &'static str)>,
+    /// What the status says of the frame.
+    of_frame: Status,
+    /// Devices that are not heard.
+    silent: Vec<Silent>,
+    /// When that was first looked at.
+    looked_us: Option<i64>,
+}
+
+impl Newest {
+    fn tell(&mut self, server: &Server, of_frame: Status) {
+        self.of_frame = of_frame;
+        server.set_status(beside(&self.of_frame, &self.silent));
+    }
 }
 
 /// See the module; without a server it says nothing.
@@ -56,6 +111,7 @@ impl Broadcast {
     pub(super) fn open(server: Option<&IgtlServer>, whereabouts: Whereabouts, reporter: &Reporter) -> Result<Self, SessionError> {
         let words = "no frame has come yet".to_owned();
         let waiting = Status { code: Status::NOT_READY, frame: 0, name: "no frame yet".to_owned(), words };
+        let of_frame = waiting.clone();
         let open = |server: &IgtlServer| Server::open(server.bind, server.port, DEVICE, waiting, reporter);
         let server = server.map(open).transpose()?;
         if let Some(server) = &server {
@@ -63,7 +119,15 @@ impl Broadcast {
             let whom = if address.ip().is_loopback() { "" } else { "; whoever reaches this address sees poses and pictures" };
             reporter.note(format!("OpenIGTLink listens on {address}{whom}"));
         }
-        let newest = Newest { pose_us: i64::MIN, pictures_us: i64::MIN, status_us: i64::MIN, doubted: BTreeSet::new() };
+        let newest = Newest {
+            pose_us: i64::MIN,
+            pictures_us: i64::MIN,
+            status_us: i64::MIN,
+            doubted: BTreeSet::new(),
+            of_frame,
+            silent: Vec::new(),
+            looked_us: None,
+        };
         Ok(Self { server, whereabouts, newest: Mutex::new(newest) })
     }
 
@@ -105,6 +169,34 @@ impl Broadcast {
         server.send(Message { device: tip.to_owned(), time_us, content: Content::Position(lps_from_tip) });
     }
 
+    /// Time has come to `now_us`: what a device said last looks like what it says now, and is not that once it has fallen silent.
+    pub(super) fn look(&self, engine: &Engine, now_us: i64) {
+        let Some(server) = &self.server else { return };
+        let mut newest = self.newest();
+        let begun = now_us.saturating_sub(*newest.looked_us.get_or_insert(now_us)) > BEGINS_US;
+        let present = DeviceKind::ALL.into_iter().filter(|device| engine.health(*device).is_some());
+        let silent: Vec<Silent> = present
+            .filter_map(|device| match engine.timeline().freshness(device, now_us, HEARD) {
+                Freshness::Stale { .. } => Some(Silent { device, ever: true }),
+                Freshness::Absent if begun => Some(Silent { device, ever: false }),
+                Freshness::Fresh { .. } | Freshness::Absent => None,
+            })
+            .collect();
+        if silent == newest.silent {
+            return;
+        }
+        let before = std::mem::replace(&mut newest.silent, silent);
+        let fallen = newest.silent.iter().filter(|silent| !before.contains(silent)).map(|silent| silent.words());
+        let is_silent = |device: DeviceKind| newest.silent.iter().any(|silent| silent.device == device);
+        let back = before.iter().map(|before| before.device).filter(|device| !is_silent(*device));
+        let back = back.map(|device| format!("the {device} is heard again"));
+        for words in fallen.chain(back) {
+            server.send(Message { device: "Telemetry".to_owned(), time_us: now_us, content: Content::Text(words) });
+        }
+        let of_frame = newest.of_frame.clone();
+        newest.tell(server, of_frame);
+    }
+
     /// A frame that was registered, and what the terminal says of it.
     pub(super) fn posed(&self, posed: &Posed, words: &str) {
         let Some(server) = &self.server else { return };
@@ -113,7 +205,7 @@ impl Broadcast {
         let mut newest = self.newest();
         if time_us >= newest.status_us {
             newest.status_us = time_us;
-            server.set_status(status_of(posed, words));
+            newest.tell(server, status_of(posed, words));
         }
         let accepted = posed.view.filter(|_| posed.pose.is_accepted() && posed.pose_source == PoseSource::Beads);
         if let Some(view) = accepted.filter(|_| time_us >= newest.pose_us) {
@@ -135,7 +227,7 @@ impl Broadcast {
             server.send(Message { device: "Frame".to_owned(), time_us: posed.time_us, content });
             if posed.time_us >= newest.status_us {
                 let name = standing.short().to_owned();
-                server.set_status(Status { code: Status::ERROR, frame: i64::from(posed.number), name, words });
+                newest.tell(server, Status { code: Status::ERROR, frame: i64::from(posed.number), name, words });
             }
         }
         if is_new && posed.time_us >= newest.pictures_us && server.clients() > 0 {
@@ -179,4 +271,27 @@ fn status_of(posed: &Posed, words: &str) -> Status {
         (false, _, _) => (Status::ERROR, Standing::Refused.short()),
     };
     Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The robot was silent for minutes, and whoever listened read that all was accepted.
+    #[test]
+    fn a_silent_device_stands_before_what_is_said_of_the_frame() {
+        let words = "frame 4 (a): accepted, rms 0.1 px".to_owned();
+        let accepted = Status { code: Status::OK, frame: 4, name: "accepted".to_owned(), words };
+        assert_eq!(beside(&accepted, &[]), accepted);
+        let robot = Silent { device: DeviceKind::Robot, ever: true };
+        let told = beside(&accepted, &[robot]);
+        assert_eq!((told.code, told.frame, told.name.as_str()), (Status::ERROR, 4, "robot silent"));
+        assert!(told.words.starts_with("the robot is not heard any more, BaseToLps, TipToLps and Tip stand"), "{}", told.words);
+        assert!(told.words.ends_with(&accepted.words), "{}", told.words);
+        let carm = Silent { device: DeviceKind::Carm, ever: false };
+        let told = beside(&accepted, &[carm, robot]);
+        // The protocol has room for twenty characters.
+        assert!(told.name == "C-arm, robot silent" && told.name.len() <= 20, "{}", told.name);
+        assert!(told.words.contains("nothing has come from the C-arm yet"), "{}", told.words);
+    }
 }

@@ -150,7 +150,7 @@ impl Bench {
                 BindingFlag::Moved { .. } => {
                     self.reporter.warn("moved during the exposure", format!("{}: {flag}", posed.label()));
                 }
-                BindingFlag::TelemetryGap { .. } | BindingFlag::OpenEnds => {
+                BindingFlag::TelemetryGap { .. } | BindingFlag::MovedInGap { .. } | BindingFlag::OpenEnds => {
                     self.reporter.warn("gap at the exposure", format!("{}: {flag}", posed.label()));
                 }
                 BindingFlag::Duplicate { .. } => self.reporter.warn("same picture", format!("{}: {flag}", posed.label())),

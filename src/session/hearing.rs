@@ -1,10 +1,11 @@
 //! Whether each line can still be heard. A device that falls silent while its port is open, a port that does not come back, a clock that
-//! stands still: each reaches the person while something can be done, and the report where frames went without telemetry for it.
+//! stands still or runs at another rate: each reaches the person while something can be done, and the report where frames went without telemetry for it.
 
 use std::collections::BTreeMap;
 
 use super::posing::Bound;
 use crate::telemetry::{DeviceKind, Health, Sample};
+use crate::timeline::unit_of_clock;
 
 /// A line from which nothing could be used for so long is silent, µs.
 const SILENT_US: i64 = 3_000_000;
@@ -34,6 +35,8 @@ struct Line {
     still_us: i64,
     /// The stretch of its clock that was looked at last.
     stretch: Option<u32>,
+    /// Seconds that its clock advances in one, where that was said.
+    rate: Option<f64>,
 }
 
 impl Line {
@@ -73,6 +76,7 @@ impl Hearing {
             clock_told: false,
             still_us: 0,
             stretch: None,
+            rate: None,
         };
         Self { lines: devices.into_iter().map(|device| (device, line())).collect(), frames: BTreeMap::new() }
     }
@@ -111,6 +115,28 @@ impl Hearing {
         Some(format!(
             "the {device}'s clock jumped by {:+.3} s: its times are mapped anew from there, and what it said across the jump is less certain",
             step_us as f64 * 1e-6
+        ))
+    }
+
+    /// Takes how many seconds the device's clock advances in one, where that is wrong; what there is to say about it, once.
+    pub(super) fn rate(&mut self, device: DeviceKind, wrong: Option<f64>) -> Option<String> {
+        let line = self.lines.get_mut(&device).filter(|line| line.rate.is_none())?;
+        let rate = wrong?;
+        line.rate = Some(rate);
+        let remedy = match unit_of_clock(rate) {
+            Some(unit) => {
+                format!(
+                    "does it send {unit}? Have it send microseconds, or declare the unit where its lines are declared (`device_time`)"
+                )
+            }
+            None if rate > 1.0 => "it is fast, or counts in a unit of its own; set the device's clock right".to_owned(),
+            None => {
+                "it is slow, or its data come later and later; check the device's clock, and the speed of its line".to_owned()
+            }
+        };
+        Some(format!(
+            "the {device}'s clock advances {} where 1 s passes, so what it says is tied to exposures at wrong times or not at all: {remedy}",
+            advance(rate)
         ))
     }
 
@@ -177,8 +203,25 @@ impl Hearing {
                 let still_s = line.still_us as f64 * 1e-6;
                 words.push(format!("{device}: its clock stood still for {still_s:.0} s; what it said then has no time"));
             }
+            if let Some(rate) = line.rate {
+                let advance = advance(rate);
+                words.push(format!(
+                    "{device}: its clock advanced {advance} where 1 s passed; what it said has no time to rely on"
+                ));
+            }
         }
         words
+    }
+}
+
+/// So many seconds in words.
+fn advance(seconds: f64) -> String {
+    if seconds >= 0.1 {
+        format!("{seconds:.3} s")
+    } else if seconds >= 1e-4 {
+        format!("{:.3} ms", seconds * 1e3)
+    } else {
+        format!("{:.3} us", seconds * 1e6)
     }
 }
 
@@ -190,6 +233,27 @@ mod tests {
     use crate::acquire::{Domain, Frame};
     use crate::image::Image;
     use crate::timeline::{Binding, Timeline};
+
+    #[test]
+    fn a_clock_of_another_rate_is_said_once_with_its_unit_and_is_a_loss() {
+        let mut hearing = Hearing::new(DeviceKind::ALL);
+        assert_eq!(hearing.rate(DeviceKind::Carm, None), None);
+        assert!(hearing.losses(1_000_000).is_empty());
+        let words = hearing.rate(DeviceKind::Carm, Some(0.001_000_1)).expect("said");
+        assert!(words.contains("the C-arm's clock advances 1.000 ms where 1 s passes"), "{words}");
+        assert!(words.contains("does it send milliseconds?") && words.contains("`device_time`"), "{words}");
+        assert_eq!(hearing.rate(DeviceKind::Carm, Some(0.001)), None, "said already");
+        let words = hearing.rate(DeviceKind::Robot, Some(1.06)).expect("said");
+        assert!(words.contains("the robot's clock advances 1.060 s where 1 s passes") && words.contains("it is fast"), "{words}");
+        assert!(!words.contains("does it send"), "no unit is so near");
+        assert_eq!(
+            hearing.losses(1_000_000),
+            [
+                "C-arm: its clock advanced 1.000 ms where 1 s passed; what it said has no time to rely on",
+                "robot: its clock advanced 1.060 s where 1 s passed; what it said has no time to rely on",
+            ]
+        );
+    }
 
     /// All that came while the C-arm was unplugged was said to be of another day or another room.
     #[test]

@@ -21,7 +21,7 @@ use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
-use crate::timeline::{Binding, BindingFlag, Support, Timeline};
+use crate::timeline::{Binding, BindingFlag, Gap, Support, Timeline};
 
 /// A frame with everything known about when and where it was taken.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ pub struct Posed {
     pub development: u32,
     /// The frame.
     pub frame: Arc<Frame>,
-    /// Middle of the exposure, or the arrival where it is not bound; host time.
+    /// When in its exposure it was taken, or the arrival where it is not bound; host time.
     pub time_us: i64,
     /// Which exposure, and why.
     pub binding: Binding,
@@ -115,7 +115,7 @@ impl Bound {
             .and_then(joints_at)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
         let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
-        // Of an image of a run: the joints at its beginning, in its middle, and at its end.
+        // Of an image of a run, and of the last one held: the joints at its beginning, in its middle, and at its end.
         let within: Option<Vec<CarmJoints>> = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
             let times_us = [mid_us.saturating_sub(half_us), mid_us, mid_us.saturating_add(half_us)];
             times_us.into_iter().map(|us| joints_at(us).map(|answer| answer.value)).collect()
@@ -131,7 +131,8 @@ impl Bound {
             binding: match within {
                 Some(joints) => binding.moved_within(&joints),
                 None => binding,
-            },
+            }
+            .across(joints.as_ref().and(mid_us).and_then(|mid_us| Gap::around(timeline, mid_us))),
             robot,
         }
     }
@@ -328,9 +329,10 @@ impl PoseJob {
         pose
     }
 
-    /// Camera in the specimen by telemetry alone.
+    /// Camera in the specimen by telemetry alone, where the joints are no mere guess.
     fn nominal(&self) -> Option<Rigid> {
-        self.camera_from_world.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
+        let told = self.camera_from_world.filter(|_| !self.bound.binding.is_no_prior());
+        told.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
     }
 
     /// Telemetry as a measurement, where the session fuses it and it is as good as the arm's calibration says: the joints are those of the
@@ -345,6 +347,7 @@ impl PoseJob {
             || self.known.tie_disputed
             || self.intrinsics.is_none()
             || matches!(self.intensifier, Some(Err(_)))
+            || self.bound.binding.is_guessed()
             || self.bound.binding.flags.iter().any(unsure)
         {
             return None;
@@ -361,7 +364,7 @@ impl PoseJob {
         };
         // world_from_lps = world_from_camera · camera_from_lps.
         let world_from_lps = match (pose_source, camera, self.camera_from_world) {
-            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
+            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) if !self.bound.binding.is_guessed() => {
                 // A pose that telemetry has drawn to itself would agree with it ever after.
                 let by_beads = pose.innovation.map_or(camera_from_lps, |innovation| innovation.camera_from_lps);
                 Some(camera_from_world.inverse() * by_beads)

@@ -204,6 +204,9 @@ impl Replay<'_> {
                 }
                 self.with_engine(|engine, sink| engine.push(input, sink));
             }
+            if is_input {
+                self.broadcast.look(&self.engine, self.last_us);
+            }
             self.board.tick(&self.engine, self.last_us, self.report.frames, self.workshop.open_jobs());
             self.take_pairs(reporter);
         }

@@ -3,7 +3,7 @@
 use super::crosscheck::APART_DEG;
 use crate::geometry::Rigid;
 use crate::telemetry::AngleSource;
-use crate::timeline::{Binding, BindingFlag, ExposureInterval, Support, Timeline};
+use crate::timeline::{Binding, BindingFlag, ExposureInterval, LONG_BEAM_US, Support, Timeline};
 
 /// Robot or C-arm samples further apart than this around an exposure say nothing of it.
 pub(super) const MAX_GAP_US: i64 = 500_000;
@@ -55,6 +55,11 @@ pub enum RobotCaution {
         /// By how much.
         moved_deg: f64,
     },
+    /// It is drawn as it was in the middle of a long beam, and may have been otherwise in the picture.
+    InMiddle {
+        /// How long the beam was on.
+        beam_us: i64,
+    },
 }
 
 impl RobotCaution {
@@ -66,7 +71,7 @@ impl RobotCaution {
             Self::BaseNotTracked | Self::BaseStale { .. } => "robot base not tracked",
             Self::Commanded => "robot angles commanded",
             Self::Apart { .. } => "robot angles contradict",
-            Self::Bent { .. } => "robot moved during the exposure",
+            Self::Bent { .. } | Self::InMiddle { .. } => "robot moved during the exposure",
         }
     }
 
@@ -79,7 +84,7 @@ impl RobotCaution {
             Self::BaseNotTracked | Self::BaseStale { .. } => "clear the tracker's view of the robot's marker and expose again",
             Self::Commanded => "check the robot's encoders and their cable",
             Self::Apart { .. } => "home the robot, check its tendons and encoders",
-            Self::Bent { .. } => "let the robot come to rest before the exposure",
+            Self::Bent { .. } | Self::InMiddle { .. } => "let the robot come to rest before the exposure",
         }
     }
 }
@@ -104,6 +109,11 @@ impl std::fmt::Display for RobotCaution {
             Self::Bent { point, moved_deg } => {
                 write!(f, "the robot bent by {moved_deg:.1} degrees at control point {} during the exposure", point + 1)
             }
+            Self::InMiddle { beam_us } => write!(
+                f,
+                "robot drawn as it was in the middle of a beam of {:.1} s: a last image held shows it as it was at the end",
+                *beam_us as f64 * 1e-6
+            ),
         }
     }
 }
@@ -118,17 +128,30 @@ pub(super) struct BoundRobot {
 
 impl BoundRobot {
     /// What `timeline`, or the exposure itself where the samples are gone, says of the robot at `mid_us`, for a frame bound so; `None` where
-    /// it was not heard around then.
+    /// it was not heard around then. `mid_us` is when the frame was taken.
     pub(super) fn at(timeline: &Timeline, mid_us: i64, binding: &Binding) -> Option<Self> {
         let exposure = binding.exposure.as_ref();
         if !stood_still(timeline, mid_us, binding) {
             return None;
         }
-        let mut state = live(timeline, mid_us).or_else(|| stored(exposure?))?;
+        let live = live(timeline, mid_us);
+        // What is kept with an exposure is of its middle.
+        let of_middle = live.is_none() && binding.is_of_last_image();
+        let mut state = live.or_else(|| stored(exposure?))?;
         // An image of a run is exposed for a part of it only, and nobody saw how long an exposure was of which only a counter tells.
         let is_run = binding.flags.iter().any(|flag| matches!(flag, BindingFlag::Run { .. }));
         let whole = exposure.filter(|exposure| exposure.samples > 0 && !is_run);
-        state.cautions.extend(whole.and_then(|exposure| bent(timeline, exposure)));
+        if let Some(exposure) = whole {
+            let beam_us = exposure.end_us.saturating_sub(exposure.start_us);
+            let half_us = binding.half_image_us().filter(|_| binding.is_of_last_image());
+            let span_us = half_us.map_or([exposure.start_us, exposure.end_us], |half_us| {
+                [mid_us.saturating_sub(half_us), mid_us.saturating_add(half_us)]
+            });
+            let bent = bent(timeline, span_us);
+            let doubtful = of_middle || bent.is_some() && half_us.is_none() && beam_us >= LONG_BEAM_US;
+            state.cautions.extend(bent);
+            state.cautions.extend(doubtful.then_some(RobotCaution::InMiddle { beam_us }));
+        }
         let tracked = timeline.tracker_from_base_at(mid_us).or_else(|| exposure.and_then(|exposure| exposure.tracker_from_base));
         Some(Self { state, tracked: tracked.map(|answer| (answer.value, answer.gap_us)) })
     }
@@ -225,8 +248,8 @@ fn apart(timeline: &Timeline, mid_us: i64) -> Option<RobotCaution> {
     (apart_deg.abs() > APART_DEG).then_some(RobotCaution::Apart { point, apart_deg })
 }
 
-fn bent(timeline: &Timeline, exposure: &ExposureInterval) -> Option<RobotCaution> {
-    let travel_deg = timeline.robot_travel_deg(exposure.start_us, exposure.end_us)?;
+fn bent(timeline: &Timeline, [from_us, to_us]: [i64; 2]) -> Option<RobotCaution> {
+    let travel_deg = timeline.robot_travel_deg(from_us, to_us)?;
     // An angle that was not measured is NaN here; that it moved is not known.
     let (point, moved_deg) =
         travel_deg.into_iter().enumerate().filter(|(_, deg)| *deg > BENT_DEG).max_by(|(_, a), (_, b)| a.total_cmp(b))?;
@@ -241,11 +264,11 @@ mod tests {
     /// The beam is on from 1000 to 1400 ms.
     const MID_US: i64 = 1_200_000;
 
-    fn carm(ms: u64) -> Sample {
+    fn carm(ms: u64, off_ms: u64) -> Sample {
         Sample::Carm(CarmSample {
             device_us: 1000 * ms,
             sequence: (ms / 20) as u32,
-            xray_on: (1000..1400).contains(&ms),
+            xray_on: (1000..off_ms).contains(&ms),
             exposure_counter: Some(u32::from(ms >= 1000)),
             ..CarmSample::UNTOLD
         })
@@ -253,12 +276,18 @@ mod tests {
 
     /// A robot of 100 Hz that says the same but for what `change` does at a time in ms.
     fn bound(change: impl Fn(u64, &mut RobotSample)) -> BoundRobot {
+        let (timeline, exposure) = told(0, change);
+        BoundRobot::at(&timeline, MID_US, &Binding { exposure, ..Binding::default() }).expect("the robot was heard")
+    }
+
+    /// The same in a beam that is on for `longer_ms` more, and that beam.
+    fn told(longer_ms: u64, change: impl Fn(u64, &mut RobotSample)) -> (Timeline, Option<ExposureInterval>) {
         let mut timeline = Timeline::new();
         let (mut of_carm, mut of_robot) = (SequenceTracker::default(), SequenceTracker::default());
-        for ms in (0..2000u64).step_by(10) {
+        for ms in (0..2000 + longer_ms).step_by(10) {
             let host_us = 1000 * ms as i64;
             if ms % 20 == 0 {
-                let sample = carm(ms);
+                let sample = carm(ms, 1400 + longer_ms);
                 let sequenced = of_carm.take(sample.sequence(), sample.device_us());
                 timeline.push_sample(DeviceKind::Carm, host_us, 0, sequenced, sample);
             }
@@ -281,7 +310,40 @@ mod tests {
         }
         let exposure = timeline.exposures().into_iter().next();
         assert!(exposure.as_ref().is_some_and(|exposure| exposure.samples >= 15), "{exposure:?}");
-        BoundRobot::at(&timeline, MID_US, &Binding { exposure, ..Binding::default() }).expect("the robot was heard")
+        (timeline, exposure)
+    }
+
+    /// A last image held was drawn with the robot of the middle of its beam.
+    #[test]
+    fn the_last_image_of_a_long_beam_has_the_robot_of_its_end_and_of_any_other_picture_it_is_said() {
+        // In its fourth second the robot bends by nine degrees, and then stands still; the beam is on until 5.4 s.
+        let bends = |ms: u64, robot: &mut RobotSample| {
+            let done = 9.0 * (ms.clamp(3000, 4000) - 3000) as f64 / 1000.0;
+            robot.commanded_deg[3] += done;
+            robot.sensed_deg.iter_mut().for_each(|angles| angles[3] += done);
+        };
+        let (timeline, exposure) = told(4000, bends);
+        let beam_us = exposure.as_ref().map_or(0, |exposure| exposure.end_us - exposure.start_us);
+        assert!((4_300_000..4_500_000).contains(&beam_us), "{beam_us}");
+        let at = |time_us: i64, flags: Vec<BindingFlag>| {
+            let binding = Binding { exposure: exposure.clone(), time_us: Some(time_us), flags, ..Binding::default() };
+            BoundRobot::at(&timeline, time_us, &binding).expect("the robot was heard").state
+        };
+        let held = at(5_300_000, vec![BindingFlag::LastImage { beam_us }]);
+        assert!((held.control_angles_deg[3] - 8.0).abs() < 0.1 && held.cautions.is_empty(), "{held:?}");
+        // The control: nothing says that it is the last image.
+        let plain = at(3_200_000, Vec::new());
+        assert!((plain.control_angles_deg[3] - 0.8).abs() < 0.1, "{plain:?}");
+        let is_said = |cautions: &[RobotCaution]| matches!(cautions, [RobotCaution::Bent { point: 3, .. }, RobotCaution::InMiddle { beam_us: of }] if *of == beam_us);
+        assert!(is_said(&plain.cautions), "{plain:?}");
+        assert!(plain.cautions[1].to_string().contains("in the middle of a beam of 4.4 s"), "{}", plain.cautions[1]);
+        // While it still bends, the last image shows that it does.
+        let bending = at(3_500_000, vec![BindingFlag::LastImage { beam_us }]);
+        assert!(matches!(bending.cautions[..], [RobotCaution::Bent { point: 3, .. }]), "{bending:?}");
+        let still = told(4000, |_, _| ());
+        let binding = Binding { exposure: still.1, ..Binding::default() };
+        let still = BoundRobot::at(&still.0, 3_200_000, &binding).expect("the robot was heard");
+        assert_eq!(still.state.cautions, [], "a robot that stands still");
     }
 
     #[test]

@@ -314,7 +314,7 @@ fn within_run(run: &Binding, image: &FrameEvidence) -> Binding {
     let mut own = run.clone();
     if let Some(exposure) = &own.exposure {
         let span_us = [exposure.start_us, exposure.end_us];
-        own.time_us = Some(time_within(image, span_us));
+        own.time_us = Some(time_within(image, exposure, span_us));
         own.flags = flags_of(image, exposure, span_us);
     }
     own

@@ -25,6 +25,9 @@ pub struct FrameEvidence {
     pub arrival_us: Option<i64>,
     /// Time from image to image of a run, where the file says it.
     pub frame_time_us: Option<i64>,
+    /// By its tags it is the last image held of a beam: taken when that ended.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub last_image: bool,
     /// The frame that was this image while its file was not yet finished.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub completes: Option<u32>,
@@ -43,9 +46,20 @@ impl FrameEvidence {
             console_resolution_us: resolution_us(tags.acquired_time.as_deref().unwrap_or_default()),
             arrival_us,
             frame_time_us: tags.frame_time_ms.map(|ms| (ms * 1e3).round() as i64),
+            last_image: image_of_file[1] <= 1 && shows_last_image(tags),
             completes: None,
         }
     }
+}
+
+/// Whether a single picture with these tags is the last image held of fluoroscopy: by its type, or by the dose.
+fn shows_last_image(tags: &FrameTags) -> bool {
+    // Sums and differences are made of many images, and a radiograph of its whole beam.
+    const OF_ALL: [&str; 10] =
+        ["ADDITION", "AVERAGE", "MEAN", "MAXIMUM", "MINIMUM", "SUBTRACTION", "SUBTRACTED", "DSA", "SPOT", "RADIOGRAPHY"];
+    const HELD: [&str; 4] = ["LAST IMAGE HOLD", "LIH", "FLUOROSCOPY", "FLUORO"];
+    let is_one_of = |terms: &[&str]| tags.image_type.iter().any(|term| terms.contains(&term.as_str()));
+    !is_one_of(&OF_ALL) && (is_one_of(&HELD) || tags.radiation_setting.as_deref() == Some("SC"))
 }
 
 /// The time zone of a console's stamps: that of the first file that states one. Stamps of another zone are brought to it, so that summer time
@@ -107,6 +121,17 @@ pub enum BindingFlag {
         /// Its length.
         gap_us: i64,
     },
+    /// A joint moved while telemetry was silent around the frame's time; mm or degrees.
+    MovedInGap {
+        /// Which moved most.
+        joint: &'static str,
+        /// By how much.
+        moved: f64,
+        /// From where on it matters.
+        limit: f64,
+        /// For how long nothing was heard.
+        gap_us: i64,
+    },
     /// Beam on or beam off fell into a gap: the interval is as long as it can be.
     OpenEnds,
     /// Only the C-arm's counter tells of the exposure.
@@ -125,6 +150,11 @@ pub enum BindingFlag {
         image: u32,
         /// Of how many.
         count: u32,
+    },
+    /// The last image held of a long beam: its time is the beam's end.
+    LastImage {
+        /// How long the beam was on.
+        beam_us: i64,
     },
     /// The same picture as an earlier frame, which has the exposure.
     Duplicate {
@@ -148,12 +178,20 @@ impl std::fmt::Display for BindingFlag {
         match self {
             Self::Moved { joint, moved, limit } => write!(f, "{joint} moved by {moved:.2} during the exposure (limit {limit})"),
             Self::TelemetryGap { gap_us } => write!(f, "joints are interpolated over {} without telemetry", seconds(*gap_us)),
+            Self::MovedInGap { joint, moved, limit, gap_us } => write!(
+                f,
+                "{joint} moved by {moved:.2} while nothing was heard of the C-arm for {}: where it was is not known (limit {limit})",
+                seconds(*gap_us)
+            ),
             Self::OpenEnds => f.write_str("beam on or off fell into a gap of telemetry"),
             Self::Unseen { within_us } => {
                 write!(f, "telemetry missed the exposure; only its counter tells of it, within {}", seconds(*within_us))
             }
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
+            Self::LastImage { beam_us } => {
+                write!(f, "the last image held of a beam of {}: it is taken to be of the beam's end", seconds(*beam_us))
+            }
             Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
             Self::SecondPicture { of } => write!(f, "a second picture of the exposure that frame {of} has"),
             Self::Unfinished { replaced_by } => write!(f, "the file was not finished: frame {replaced_by} is the whole picture"),
@@ -172,14 +210,14 @@ pub struct Binding {
     pub evidence: Vec<String>,
     /// False while telemetry has not yet reached the frame's arrival: asking again soon may give another answer.
     pub settled: bool,
-    /// Host time of this image: the middle of the exposure, or its own place in it for an image of a run.
+    /// Host time of this image: the middle of the exposure, the end of a long one for the last image held, its own place in it for one of a run.
     pub time_us: Option<i64>,
     /// What to know before relying on it.
     pub flags: Vec<BindingFlag>,
 }
 
 /// Joints that moved farther than this during an exposure are flagged: mm and degrees.
-const MOVED_LIMITS: [(&str, f64); 7] = [
+pub(super) const MOVED_LIMITS: [(&str, f64); 7] = [
     ("lift", 0.5),
     ("wig-wag", 0.2),
     ("longitudinal", 0.5),
@@ -189,7 +227,11 @@ const MOVED_LIMITS: [(&str, f64); 7] = [
     ("source to detector", 0.5),
 ];
 /// Joints from samples farther apart than this are flagged.
-const GAP_LIMIT_US: i64 = 200_000;
+pub(super) const GAP_LIMIT_US: i64 = 200_000;
+/// No radiograph takes so long: what is exposed for longer is fluoroscopy, and a picture of it may be of any moment.
+pub const LONG_BEAM_US: i64 = 1_000_000;
+/// The last image held is of pulses up to twice as long before the beam's end: consoles average a few.
+const LAST_PULSES_US: i64 = 100_000;
 /// A frame later than this is flagged.
 const LATE_LIMIT_US: i64 = 10_000_000;
 
@@ -235,20 +277,44 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval, span_
     if count > 1 {
         flags.push(BindingFlag::Run { image, count });
     }
+    flags.extend(long_beam_us(frame, exposure).map(|beam_us| BindingFlag::LastImage { beam_us }));
     flags
 }
 
+/// How long the beam was on of which `frame` is the last image held; `None` where it is none, or where that makes no difference.
+fn long_beam_us(frame: &FrameEvidence, exposure: &ExposureInterval) -> Option<i64> {
+    let beam_us = exposure.end_us.saturating_sub(exposure.start_us);
+    (frame.last_image && exposure.samples > 0 && beam_us >= LONG_BEAM_US).then_some(beam_us)
+}
+
 impl Binding {
-    /// The half length of the time that one image of a run took, where it is that.
+    /// Whether it is of the last image held of a long beam.
+    #[must_use]
+    pub fn is_of_last_image(&self) -> bool {
+        self.flags.iter().any(|flag| matches!(flag, BindingFlag::LastImage { .. }))
+    }
+
+    /// Until when telemetry must have come for what is asked of it: the middle of the exposure, or the last image held.
+    #[must_use]
+    pub fn asks_until_us(&self) -> Option<i64> {
+        let mid_us = self.exposure.as_ref()?.mid_us();
+        Some(self.time_us.filter(|_| self.is_of_last_image()).unwrap_or(mid_us))
+    }
+
+    /// The half length of the time that one image of a run, or the last image held, took, where it is that.
     #[must_use]
     pub fn half_image_us(&self) -> Option<i64> {
+        if self.is_of_last_image() {
+            return Some(LAST_PULSES_US);
+        }
         let count =
             self.flags.iter().find_map(|flag| if let BindingFlag::Run { count, .. } = flag { Some(*count) } else { None })?;
         let exposure = self.exposure.as_ref()?;
         Some(exposure.end_us.saturating_sub(exposure.start_us).max(0) / (2 * i64::from(count.max(1))))
     }
 
-    /// The same without word of motion that was in other images of the run: `joints` are those while this one was taken.
+    /// The same without word of motion that was in other images of the run, or before the last one held: `joints` are those while this one
+    /// was taken.
     #[must_use]
     pub fn moved_within(mut self, joints: &[CarmJoints]) -> Self {
         self.flags.retain_mut(|flag| {
@@ -267,12 +333,15 @@ impl Binding {
 }
 
 /// Whether the joint in this place of [`MOVED_LIMITS`] turns.
-fn is_angle(i: usize) -> bool {
+pub(super) fn is_angle(i: usize) -> bool {
     matches!(i, 1 | 3 | 4 | 5)
 }
 
-/// Host time of `frame` within `span_us`: the middle, or the image's share of the run.
-pub(super) fn time_within(frame: &FrameEvidence, [start_us, end_us]: [i64; 2]) -> i64 {
+/// Host time of `frame` within `span_us` of its exposure: the middle, the end for the last image held, or the image's share of the run.
+pub(super) fn time_within(frame: &FrameEvidence, exposure: &ExposureInterval, [start_us, end_us]: [i64; 2]) -> i64 {
+    if long_beam_us(frame, exposure).is_some() {
+        return end_us.saturating_sub(LAST_PULSES_US);
+    }
     let [image, count] = frame.image_of_file;
     let length_us = end_us.saturating_sub(start_us).max(0);
     if count <= 1 {
@@ -308,6 +377,78 @@ mod tests {
         assert!(of([3.0, 5.0, 3.0]).is_some_and(|deg| (deg - 2.0).abs() < 1e-9), "there and back");
         assert_eq!(of([f64::NAN; 3]), Some(10.0), "an encoder that says nothing");
         assert_eq!(binding.half_image_us(), None, "of no exposure");
+    }
+
+    /// A last image held after four seconds of fluoroscopy was drawn with the robot of two seconds before.
+    #[test]
+    fn the_last_image_held_of_a_long_beam_is_of_its_end_and_a_radiograph_of_its_middle() {
+        let exposure = |beam_us: i64| ExposureInterval {
+            index: 0,
+            counter: Some(7),
+            epoch: 0,
+            start_us: 1_000_000,
+            end_us: 1_000_000 + beam_us,
+            segment: 0,
+            device_us: [0, beam_us],
+            start_uncertainty_us: 1e4,
+            end_uncertainty_us: 1e4,
+            open: false,
+            start_seen: true,
+            end_seen: true,
+            samples: 30,
+            tube_kvp: 70.0,
+            tube_ma: 2.0,
+            joints: None,
+            beam: None,
+            joint_range: [0.0; 7],
+            control_angles_deg: None,
+            tracker_from_base: None,
+        };
+        let time = |tags: &FrameTags, images: u32, beam_us: i64| {
+            let (said, exposure) = (FrameEvidence::of(1, tags, "a", [0, images], None), exposure(beam_us));
+            let span_us = [exposure.start_us, exposure.end_us];
+            let flags = flags_of(&said, &exposure, span_us);
+            let is_held = flags.contains(&BindingFlag::LastImage { beam_us });
+            (time_within(&said, &exposure, span_us) - exposure.start_us, is_held)
+        };
+        let tags = |image_type: &[&str], setting: Option<&str>| FrameTags {
+            image_type: image_type.iter().map(|term| (*term).to_owned()).collect(),
+            radiation_setting: setting.map(str::to_owned),
+            ..FrameTags::default()
+        };
+        let mut held = 0;
+        for of_beam in [
+            tags(&["ORIGINAL", "PRIMARY"], Some("SC")),
+            tags(&["DERIVED", "SECONDARY", "LAST IMAGE HOLD"], None),
+            tags(&["FLUORO"], None),
+        ] {
+            assert_eq!(time(&of_beam, 1, 4_000_000), (3_900_000, true), "{of_beam:?}");
+            assert_eq!(time(&of_beam, 1, 600_000), (300_000, false), "as short as a radiograph: {of_beam:?}");
+            held += 1;
+        }
+        assert_eq!(held, 3);
+        let mut others = 0;
+        for of_beam in [
+            tags(&["ORIGINAL", "PRIMARY"], None),
+            tags(&["ORIGINAL", "PRIMARY"], Some("GR")),
+            tags(&["DERIVED", "PRIMARY", "AVERAGE"], Some("SC")),
+        ] {
+            assert_eq!(time(&of_beam, 1, 4_000_000), (2_000_000, false), "{of_beam:?}");
+            others += 1;
+        }
+        assert_eq!(others, 3);
+        assert_eq!(time(&tags(&[], Some("SC")), 4, 4_000_000), (500_000, false), "the first of a run has its own place");
+    }
+
+    /// An arm that stands still while the last pulses are taken has not moved in the picture, whatever it did before.
+    #[test]
+    fn the_last_image_has_moved_only_where_it_was_taken() {
+        let moved = BindingFlag::Moved { joint: "orbital", moved: 10.0, limit: 0.2 };
+        let held = Binding { flags: vec![moved, BindingFlag::LastImage { beam_us: 4_000_000 }], ..Binding::default() };
+        let plain = Binding { flags: vec![moved], ..Binding::default() };
+        assert_eq!((held.half_image_us(), plain.half_image_us()), (Some(LAST_PULSES_US), None));
+        let still = [CarmJoints::ZERO; 3];
+        assert_eq!(held.moved_within(&still).flags, [BindingFlag::LastImage { beam_us: 4_000_000 }]);
     }
 
     #[test]

@@ -89,7 +89,7 @@ impl Known {
             }
         }
         let span_us = span_of(&said, &exposure, self.stamped_within(&said));
-        let time_us = Some(time_within(&said, span_us));
+        let time_us = Some(time_within(&said, &exposure, span_us));
         let flags = flags_of(&said, &exposure, span_us);
         Some(Binding { exposure: Some(exposure), how, evidence, settled: true, time_us, flags })
     }

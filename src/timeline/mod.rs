@@ -12,11 +12,13 @@ mod console;
 mod counting;
 mod evidence;
 mod exposure;
+mod gap;
 mod judgement;
 mod kept;
 mod known;
 mod learning;
 mod orderly;
+mod rate;
 mod segments;
 mod series;
 mod shots;
@@ -27,9 +29,11 @@ mod travel;
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;
-pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence};
+pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence, LONG_BEAM_US};
 pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
+pub use gap::Gap;
 pub use judgement::NO_EXPOSURE;
+pub use rate::unit_of_clock;
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
 pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
 
@@ -257,11 +261,13 @@ impl Timeline {
     /// The running stretch of a device's clock: its number, and for one that began with a step by how much the clock jumped, µs.
     #[must_use]
     pub fn clock_stretch(&self, device: DeviceKind) -> Option<(u32, Option<i64>)> {
-        let clock = match device {
-            DeviceKind::Carm => self.carm.clock(),
-            DeviceKind::Robot => self.robot.clock(),
-        };
-        clock.latest().map(|segment| (segment.id, (segment.start == SegmentStart::Step).then_some(segment.step_us)))
+        self.clock(device).latest().map(|segment| (segment.id, (segment.start == SegmentStart::Step).then_some(segment.step_us)))
+    }
+
+    /// How many seconds the clock of `device` advances in one of the host's, where that is known and no crystal's drift.
+    #[must_use]
+    pub fn wrong_clock_rate(&self, device: DeviceKind) -> Option<f64> {
+        self.clock(device).latest().and_then(Segment::wrong_rate)
     }
 
     /// Joints at a host time: linear, angles the short way round; NaN where a joint was not measured on either side.

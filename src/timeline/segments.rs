@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::clock::{ClockEstimate, ClockMap};
+use super::rate::ClockRate;
 use crate::telemetry::Sequenced;
 
 /// Smaller disagreements than this are delay and jitter, not steps.
@@ -54,17 +55,28 @@ pub struct Segment {
     /// The least of host minus device time so far, and when it came.
     fastest_us: i64,
     fastest_at_us: i64,
+    /// `None` where the device has no clock.
+    rate: Option<ClockRate>,
 }
 
 impl Segment {
     fn push(&mut self, device_us: i64, host_us: i64) {
         self.map.push(device_us, host_us);
+        if let Some(rate) = &mut self.rate {
+            rate.push(device_us, host_us);
+        }
         let behind_us = host_us.saturating_sub(device_us);
         if behind_us < self.fastest_us.saturating_sub(FASTER_US) {
             (self.fastest_us, self.fastest_at_us) = (behind_us, host_us);
         } else if host_us.saturating_sub(self.fastest_at_us) >= CAUGHT_UP_US {
             self.caught_up = true;
         }
+    }
+
+    /// How many seconds the clock advances in one, where that is known and no crystal's drift.
+    #[must_use]
+    pub fn wrong_rate(&self) -> Option<f64> {
+        self.rate.as_ref()?.wrong()
     }
 }
 
@@ -265,6 +277,7 @@ impl DeviceClock {
             caught_up: !opened || self.host_sigma_us.is_some(),
             fastest_us: now.host_us.saturating_sub(now.device_us),
             fastest_at_us: now.host_us,
+            rate: self.host_sigma_us.is_none().then(|| ClockRate::new(now.device_us, now.host_us)),
         });
         if self.segments.len() > SEGMENTS {
             self.segments.pop_front();

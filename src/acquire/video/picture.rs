@@ -54,7 +54,8 @@ fn object(values: Vec<u16>, picture: &Image<f32>, stamp: &str, instance: &str, s
         text(tags::MODALITY, VR::CS, "XA"),
         text(tags::CONVERSION_TYPE, VR::CS, "DV"),
         text(tags::PRESENTATION_INTENT_TYPE, VR::CS, intent),
-        text(tags::IMAGE_TYPE, VR::CS, "DERIVED\\SECONDARY"),
+        // What stands still on a monitor.
+        text(tags::IMAGE_TYPE, VR::CS, "DERIVED\\SECONDARY\\LAST IMAGE HOLD"),
         text(tags::MANUFACTURER, VR::LO, "Sidecarm"),
         text(tags::MANUFACTURER_MODEL_NAME, VR::LO, "grabbed from video"),
         text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, relationship),

@@ -380,6 +380,9 @@ impl Engine {
                 if let Some(words) = hearing.clock(device, timeline.clock_stretch(device)) {
                     reporter.warn("device clock", words);
                 }
+                if let Some(words) = hearing.rate(device, timeline.wrong_clock_rate(device)) {
+                    reporter.warn("device clock rate", words);
+                }
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),
@@ -472,12 +475,10 @@ impl Engine {
         }
     }
 
-    /// Whether the robot's samples go beyond the middle of the exposure, so that its shape is interpolated and not held.
+    /// Whether the robot's samples go beyond the time of the frame in its exposure, so that its shape is interpolated and not held.
     fn robot_has_reached(&self, binding: &Binding) -> bool {
-        match (&binding.exposure, self.links.contains_key(&DeviceKind::Robot)) {
-            (Some(exposure), true) => {
-                self.timeline.told_until_us(DeviceKind::Robot).is_some_and(|newest_us| newest_us >= exposure.mid_us())
-            }
+        match (binding.asks_until_us(), self.links.contains_key(&DeviceKind::Robot)) {
+            (Some(at_us), true) => self.timeline.told_until_us(DeviceKind::Robot).is_some_and(|newest_us| newest_us >= at_us),
             _ => true,
         }
     }

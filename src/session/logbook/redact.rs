@@ -57,9 +57,8 @@ pub struct RedactReport {
 }
 
 /// What a header said that no replay needs.
-const NEEDLESS_TAGS: [&str; 10] = [
+const NEEDLESS_TAGS: [&str; 9] = [
     "modality",
-    "image_type",
     "instance_number",
     "study",
     "photometric",

@@ -28,7 +28,12 @@ fn beads(radius_px: f64) -> Vec<Sphere> {
 fn drawn(quanta: f64, radius_px: f64, seed: u64) -> Image<f32> {
     let [width, height] = SIZE;
     let shade = shade(width, height, &beads(radius_px), 0.6);
-    let wire = |off_px: f64| steel_passes(0.8 * (1.0 - (off_px / 3.3).powi(2)).max(0.0).sqrt());
+    let sharp = |off_px: f64| steel_passes(0.8 * (1.0 - (off_px / 3.3).powi(2)).max(0.0).sqrt());
+    // Spread by half a pixel.
+    let weights = [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0];
+    let wire = |off_px: f64| {
+        weights.iter().enumerate().map(|(n, weight)| weight / 64.0 * sharp(off_px + 0.4 * (n as f64 - 3.0))).sum::<f64>()
+    };
     exposed(SIZE, quanta, seed, |x| {
         let bead = shade.at(x.x as usize, x.y as usize);
         bead * wire(x.y - 260.2) * wire((x.x - x.y * 0.11 - 255.0) * 0.994)

@@ -16,11 +16,7 @@ const BESIDE_BEAD_PX: f64 = 16.0;
 
 /// Beads of `radius_px` on a wide grid.
 fn beads(radius_px: f64) -> Vec<Sphere> {
-    let place = |n: usize| Sphere {
-        u_px: 80.3 + 121.7 * (n % 5) as f64,
-        v_px: 90.6 + 111.2 * (n / 5) as f64,
-        radius_px,
-    };
+    let place = |n: usize| Sphere { u_px: 80.3 + 121.7 * (n % 5) as f64, v_px: 90.6 + 111.2 * (n / 5) as f64, radius_px };
     (0..20).map(place).collect()
 }
 
@@ -117,7 +113,9 @@ fn pixels_that_do_not_answer_are_found_without_a_calibration() {
 #[test]
 fn what_stands_before_the_panel_is_no_dead_pixel() {
     let mut wrong = Vec::new();
-    for (quanta, radius_px, seed) in [(6.0, 6.2, 1), (60.0, 2.0, 2), (2000.0, 2.0, 3), (2000.0, 6.2, 4), (1e6, 2.0, 5), (1e6, 6.2, 6)] {
+    for (quanta, radius_px, seed) in
+        [(6.0, 6.2, 1), (60.0, 2.0, 2), (2000.0, 2.0, 3), (2000.0, 6.2, 4), (1e6, 2.0, 5), (1e6, 6.2, 6)]
+    {
         let clean = drawn(quanta, radius_px, seed);
         wrong.push(count(&dead(&clean, Domain::Linear)));
         wrong.push(count(&dead(&smoothed(&clean), Domain::Linear)));

@@ -194,9 +194,12 @@ mod tests {
             }
             doubts.sentences().concat()
         };
-        for (radius_mm, unit, meant) in
-            [(0.075, "centimetres", "=0.75,"), (7.5, "tenths", "=0.75,"), (750.0, "micrometres", "=0.75,"), (7.5e-4, "metres", "=0.75,")]
-        {
+        for (radius_mm, unit, meant) in [
+            (0.075, "centimetres", "=0.75,"),
+            (7.5, "tenths", "=0.75,"),
+            (750.0, "micrometres", "=0.75,"),
+            (7.5e-4, "metres", "=0.75,"),
+        ] {
             let words = said(radius_mm);
             assert!(words.contains(unit) && words.contains(meant) && words.contains("B1 and of 1 more"), "{words}");
         }

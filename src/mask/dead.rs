@@ -63,8 +63,7 @@ fn outliers(pixels: &Image<f32>, usable: &Image<bool>, noise: &LocalNoise) -> Im
             let four = above[column] + below[column] + own[column.saturating_sub(2)] + own[(column + 2).min(width - 1)];
             let rough = f64::from(0.25 * four);
             // What is not finite beside it is looked at more closely.
-            if !usable.pixels[row * width + column]
-                || (f64::from(own[column]) - rough).abs() <= WORTH_A_LOOK * noise.sigma(rough)
+            if !usable.pixels[row * width + column] || (f64::from(own[column]) - rough).abs() <= WORTH_A_LOOK * noise.sigma(rough)
             {
                 continue;
             }
@@ -91,10 +90,7 @@ fn outliers(pixels: &Image<f32>, usable: &Image<bool>, noise: &LocalNoise) -> Im
 /// Columns and rows of a cluster's box, grown by `margin` as far as the frame reaches.
 fn grown(cluster: &Component, margin: usize, width: usize, height: usize) -> [std::ops::Range<usize>; 2] {
     let [left, right, top, bottom] = cluster.bounds();
-    [
-        left.saturating_sub(margin)..(right + margin + 1).min(width),
-        top.saturating_sub(margin)..(bottom + margin + 1).min(height),
-    ]
+    [left.saturating_sub(margin)..(right + margin + 1).min(width), top.saturating_sub(margin)..(bottom + margin + 1).min(height)]
 }
 
 fn any_near(mask: &Image<bool>, cluster: &Component, margin: usize) -> bool {

@@ -26,7 +26,7 @@ fn drawn(quanta: f64, radius_px: f64, seed: u64) -> Image<f32> {
     let shade = shade(width, height, &beads(radius_px), 0.6);
     let sharp = |off_px: f64| steel_passes(0.8 * (1.0 - (off_px / 3.3).powi(2)).max(0.0).sqrt());
     // Spread by half a pixel.
-    let weights = [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0];
+    let weights: [f64; 7] = [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0];
     let wire = |off_px: f64| {
         weights.iter().enumerate().map(|(n, weight)| weight / 64.0 * sharp(off_px + 0.4 * (n as f64 - 3.0))).sum::<f64>()
     };

@@ -9,6 +9,7 @@ pub mod random;
 pub mod memory;
 pub mod regular;
 pub mod json;
+pub mod spelling;
 pub mod table;
 pub mod image;
 pub mod reporter;

@@ -66,6 +66,19 @@ fn text_files_are_recognised_by_what_they_hold() {
     assert_eq!(info.facts["names"], serde_json::json!(["tip"]));
 }
 
+#[test]
+fn what_a_bead_s_description_probably_means_is_said() {
+    let folder = tempfile::tempdir().expect("folder");
+    let file = |name: &str, words: &str| {
+        let point = format!(r#"{{"label": "b1", "position": [1, 2, 3], "description": "{words}"}}"#);
+        let text = format!(r#"{{"markups": [{{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [{point}]}}]}}"#);
+        examine(&write(folder.path(), name, &text)).expect("known").facts
+    };
+    let doubted = file("wrong.mrk.json", "radius=0.75");
+    assert!(doubted["doubts"][0].as_str().is_some_and(|words| words.contains("radius_mm=0.75")), "{doubted:?}");
+    assert!(file("right.mrk.json", "radius_mm=0.75").get("doubts").is_none(), "the control");
+}
+
 /// A label with a comma was cut at it, and the column behind it was taken for the next; a spreadsheet's file was damaged.
 #[test]
 fn labels_in_quotes_are_listed_as_they_are_meant() {

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 32] = [
+const ORDER: [&str; 33] = [
     "units",
     "time",
     "random",
     "memory",
     "regular",
     "json",
+    "spelling",
     "table",
     "image",
     "reporter",

@@ -115,3 +115,24 @@ fn what_a_file_says_of_its_axes_is_known_in_every_form() {
     assert_eq!(says_ras(Path::new("b"), json("null").as_bytes()), None);
     assert_eq!(says_ras(Path::new("b"), b"id,x,y,z\n"), None);
 }
+
+/// `radius=0.75` was passed over in silence: the size of the beads, and with it a bound on their depth, was not known.
+#[test]
+fn words_that_are_not_read_are_named_and_sentences_are_not() {
+    let read = |descriptions: [&str; 3]| {
+        let point = |(n, words): (usize, &str)| format!(r#"{{"label":"F-{n}","position":[{n},2,3],"description":"{words}"}}"#);
+        let points: Vec<String> = descriptions.into_iter().enumerate().map(point).collect();
+        let (_folder, path) = file("b.mrk.json", &json("\"LPS\"", "\"mm\"", &points.join(",")));
+        read_markups(&path).expect("readable")
+    };
+    let layout = read(["radius=0.75 body=pelvis", "radius=0.75", "Role: check, sat well"]);
+    assert_eq!((layout.doubts.len(), layout.checks.len()), (2, 0), "{:?}", layout.doubts);
+    let [radius, role] = &layout.doubts[..] else { panic!("{:?}", layout.doubts) };
+    assert!(radius.contains("radius= in the description of F-0 and of 1 more") && radius.contains("radius_mm=0.75"), "{radius}");
+    assert!(role.contains("Role: in the description of F-2 is not read") && role.contains("role=check"), "{role}");
+    assert!(layout.doubts.iter().all(|words| layout.notes.contains(words)), "every pose says them: {:?}", layout.notes);
+    let slip = read(["radius_mm=0.075", "radius_mm=0.075", "radius_mm=0.075"]).doubts.concat();
+    assert!(slip.contains("radius_mm=0.075") && slip.contains("F-0 and of 2 more") && slip.contains("centimetres"), "{slip}");
+    let sound = read(["radius_mm=0.75 role=check", "steel, at the rim: see photo 3", "the body of this one is worn"]);
+    assert!(sound.doubts.is_empty() && sound.notes.is_empty(), "the control: {:?}", sound.notes);
+}

@@ -88,7 +88,7 @@ pub fn check_within(folder: &Path, temporary: &Path) -> (Vec<(String, String, St
 type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
 
 /// Faults of files: name, how, the check that names it, its level, words that it uses.
-const FILE_FAULTS: [Fault; 17] = [
+const FILE_FAULTS: [Fault; 18] = [
     (
         "ras",
         |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
@@ -193,6 +193,17 @@ const FILE_FAULTS: [Fault; 17] = [
         "fail",
         &["is the folder in which frames are looked for", "choose another --out"],
     ),
+    (
+        "misspelt",
+        |lab| {
+            edit(lab, "beads.mrk.json", |beads| {
+                beads["markups"][0]["controlPoints"][0]["description"] = value!("radious_mm=0.75, sat well");
+            })
+        },
+        "bead descriptions",
+        "warn",
+        &["radious_mm= in the description", "write it as in radius_mm=0.75", "docs/beads.md"],
+    ),
 ];
 
 /// Those that one run of the check can name beside each other: neither hides the other, and different checks find them.
@@ -204,7 +215,7 @@ const TOGETHER: [&[&str]; 10] = [
     &["shifted", "frames' folder"],
     &["metres", "half pitch"],
     &["other specimen", "size"],
-    &["sid"],
+    &["sid", "misspelt"],
     &["pitch"],
     &["room"],
 ];

@@ -127,6 +127,7 @@ mod viewer_readout;
 mod viewer_real;
 mod viewer_window;
 mod mask_blades;
+mod mask_dead;
 mod mask_draw;
 mod mask_field;
 mod mask_matter;

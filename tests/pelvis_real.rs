@@ -110,6 +110,7 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
         source: "test".to_owned(),
         checks: Vec::new(),
         notes: Vec::new(),
+        doubts: Vec::new(),
         refused: None,
     };
     let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("CPU");
@@ -178,6 +179,7 @@ fn real_fluoroscopy_is_display_and_is_refused() {
         source: "test".to_owned(),
         checks: Vec::new(),
         notes: Vec::new(),
+        doubts: Vec::new(),
         refused: None,
     };
     let frame = read_frame(&folder.join("frame-04.dcm"), None).expect("reads");

@@ -296,6 +296,11 @@ fn in_a_linear_picture_another_radius_is_no_pose() {
         let pose = with_radius(factor);
         assert!(matches!(pose.refusal, Some(Refusal::Radii { .. })), "{factor}: {:?} {:?}", pose.reason, pose.cautions);
     }
+    // The slip that people make is named where the size is that of one.
+    for (ratio, slip) in [(0.52, "a diameter"), (10.0, "centimetres"), (0.1, "decimal point"), (1.4, "")] {
+        let words = Refusal::Radii { ratio }.to_string();
+        assert!(words.contains(slip) && words.contains('?') == !slip.is_empty(), "{words}");
+    }
 }
 
 /// A plate whose layout has a negated axis fits from behind; only the prior's side tells.

@@ -68,6 +68,7 @@ pub fn layout_of(places: &[DVec3], radius_mm: f64) -> BeadLayout {
         source: "synthetic".to_owned(),
         checks: Vec::new(),
         notes: Vec::new(),
+        doubts: Vec::new(),
         refused: None,
     }
 }

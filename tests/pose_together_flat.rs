@@ -89,3 +89,32 @@ fn beads_that_are_not_flat_together_take_back_what_a_view_said_alone() {
     let all: Vec<f64> = together.views.iter().flat_map(said_px).collect();
     assert!(all.is_empty() && together.views.len() == 3, "{all:?}");
 }
+
+/// A view alone cannot tell a bead that is elsewhere from a poor fit, all views together can: its own remark stood beside residuals that they
+/// explain.
+#[test]
+fn residuals_are_called_large_where_those_of_all_views_are() {
+    const ALONE: &str = "residuals are 9.9 times what was expected; all uncertainties are scaled up by that";
+    let mut lab = Lab::new(3, beads(8, 3), 3);
+    let k = lab.views[0].intrinsics;
+    let mut said = |stated_px: f64| -> Vec<Vec<String>> {
+        let mut views = lab.all(&k);
+        for view in &mut views {
+            view.pose.notes.extend([ALONE.to_owned(), "another note".to_owned()]);
+            view.pose.beads.iter_mut().for_each(|bead| bead.sigma_px = Some(stated_px));
+        }
+        let together =
+            register_together(&SeveralViews { layout: &lab.layout, intrinsics_prior: None, landmarks: &[], views: &views });
+        assert!(together.is_accepted() && together.views.len() == 3, "{stated_px}: {:?}", together.reason);
+        together.views.into_iter().map(|pose| pose.notes).collect()
+    };
+    // Shadows have 0.05 px of noise.
+    for notes in said(0.05) {
+        assert!(notes.iter().all(|words| !words.contains("times what was expected")), "{notes:?}");
+        assert!(notes.contains(&"another note".to_owned()), "{notes:?}");
+    }
+    for notes in said(0.027) {
+        let of_residuals: Vec<&String> = notes.iter().filter(|words| words.contains("times what was expected")).collect();
+        assert!(of_residuals.len() == 1 && of_residuals[0] != ALONE, "the control: {notes:?}");
+    }
+}

@@ -71,6 +71,8 @@ pub struct BeadLayout {
     pub source: String,
     /// What was assumed or left out while reading.
     pub notes: Vec<String>,
+    /// Those of the notes that say what a description probably means and does not say; a person should put it right.
+    pub doubts: Vec<String>,
     /// Why no frame may be registered on it, where something known besides contradicts it.
     pub refused: Option<String>,
 }
@@ -79,7 +81,14 @@ impl BeadLayout {
     /// No beads at all.
     #[must_use]
     pub fn none() -> Self {
-        Self { beads: Vec::new(), checks: Vec::new(), source: "none".to_owned(), notes: Vec::new(), refused: None }
+        Self {
+            beads: Vec::new(),
+            checks: Vec::new(),
+            source: "none".to_owned(),
+            notes: Vec::new(),
+            doubts: Vec::new(),
+            refused: None,
+        }
     }
 
     /// Mean position.

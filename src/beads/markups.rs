@@ -5,6 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde_json::Value;
 
+use super::description::{Doubts, value};
 use super::markups_error::BeadsError;
 use super::place_covariance::PlaceCovariance;
 use super::{Bead, BeadLayout, DEFAULT_BODY, Landmark};
@@ -48,13 +49,17 @@ pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsErr
 fn layout(path: &Path, Points { points, mut notes }: Points) -> Result<BeadLayout, BeadsError> {
     let (mut beads, mut checks) = (Vec::new(), Vec::new());
     let (mut turned, mut contradicted) = (0, 0);
+    let mut doubts = Doubts::default();
     for point in points {
-        let is_ras = point.is_ras;
+        let (is_ras, name, description) = (point.is_ras, point.label.clone(), point.description.clone());
         let Described { bead, is_check, is_contradicted } = bead(path, point)?;
+        doubts.look(&name, &description, bead.radius_mm);
         turned += usize::from(is_ras && bead.covariance_mm2.is_some());
         contradicted += usize::from(is_contradicted);
         if is_check { checks.push(bead) } else { beads.push(bead) }
     }
+    let doubts = doubts.sentences();
+    notes.extend(doubts.iter().cloned());
     if turned > 0 {
         notes.push(format!("the covariance_mm2 of {turned} beads is taken along R, A and S, as the file gives their positions"));
     }
@@ -65,7 +70,7 @@ fn layout(path: &Path, Points { points, mut notes }: Points) -> Result<BeadLayou
     if beads.is_empty() {
         return Err(BeadsError::OnlyChecks { path: path.to_owned(), checks: checks.len() });
     }
-    Ok(BeadLayout { beads, checks, source: path.display().to_string(), notes, refused: None })
+    Ok(BeadLayout { beads, checks, source: path.display().to_string(), notes, doubts, refused: None })
 }
 
 /// Landmarks of a Slicer markups file; as [`read_markups`], without a look at the descriptions.
@@ -98,12 +103,7 @@ struct Described {
 }
 
 fn bead(path: &Path, point: Point) -> Result<Described, BeadsError> {
-    let value = |key: &str| {
-        point
-            .description
-            .split(|c: char| c.is_whitespace() || c == ';' || c == ',')
-            .find_map(|token| token.split_once('=').filter(|(k, _)| *k == key).map(|(_, v)| v.to_owned()))
-    };
+    let value = |key: &str| value(&point.description, key).map(str::to_owned);
     let positive = |key: &'static str, least_mm: f64| match value(key) {
         None => Ok(None),
         Some(text) => match text.parse::<f64>() {

@@ -10,6 +10,7 @@ mod candidates;
 mod centre_noise;
 mod correspondences;
 mod correlation;
+mod description;
 mod detect;
 mod fit;
 mod fitted;

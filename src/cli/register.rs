@@ -28,6 +28,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let [path] = args.frames.as_slice() else { return Err(RegisterError::Frames { found: args.frames.len() }) };
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
     let given = Given::read(args, &outputs)?;
+    given.tell_doubts(reporter);
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
     let stored = frame_aloud(path, args.domain, reporter)?;

@@ -8,6 +8,7 @@ use crate::acquire::Domain;
 use crate::beads::{BeadLayout, Landmark, read_landmarks, read_markups};
 use crate::image::refuse_overwrite;
 use crate::pose::{IntrinsicsFile, Pose, Prior};
+use crate::reporter::Reporter;
 
 /// Recover the projection matrix of a radiograph from the metal beads in it.
 #[derive(Clone, Debug, clap::Args)]
@@ -142,6 +143,13 @@ impl Given {
             doubts,
             file: args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?,
         })
+    }
+
+    /// Says what the beads' descriptions probably mean and do not say.
+    pub fn tell_doubts(&self, reporter: &Reporter) {
+        if !self.layout.doubts.is_empty() {
+            reporter.warn("bead descriptions", self.layout.doubts.join("; "));
+        }
     }
 
     /// Says with a pose that what its prior, of this number, is read from is in doubt. A pose that the prior is part of is in doubt with it.

@@ -24,6 +24,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     // Of one picture two views would count as two.
     refuse_same_content(&args.frames)?;
     let mut given = Given::read(args, &outputs.all())?;
+    given.tell_doubts(reporter);
     outputs.prepare()?;
     let mut assumed = 0;
     for bead in given.layout.beads.iter_mut().filter(|bead| bead.sigma_mm.is_none()) {

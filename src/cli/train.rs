@@ -8,8 +8,8 @@ use super::render::DeviceArg;
 use crate::gpu::{Device, GpuError};
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series};
 use crate::image::{ImageFileError, write_atomically};
-use crate::infer::materials::MaterialsArchitecture;
-use crate::infer::{Architecture, NetworkDevice};
+use crate::infer::materials::{MaterialsArchitecture, MaterialsCard};
+use crate::infer::{Architecture, Card, JudgedBy, NetworkDevice};
 use crate::learn::materials::{MaterialsRecipe, train_materials};
 use crate::learn::{
     AnyRecipe, EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd,
@@ -173,7 +173,8 @@ fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainErro
     })?;
     let trained = followed(common.minutes, reporter, |told| train(&options, told))?;
     draw(&trained, "Scatter network: loss by epoch", "normalised squared error", "held out, noise taken off")?;
-    say(&trained, (options.recipe.epochs, common.json), &trained.card.held_out, reporter);
+    let Card { judged_by, held_out, .. } = &trained.card;
+    say(&trained, (options.recipe.epochs, common.json), (judged_by, held_out), reporter);
     Ok(0)
 }
 
@@ -190,7 +191,8 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
     })?;
     let trained = followed(common.minutes, reporter, |told| train_materials(&options, told))?;
     draw(&trained, "Materials network: loss by epoch", "1 - Dice, cross-entropy", "held out")?;
-    say(&trained, (options.recipe.epochs, common.json), &trained.card.held_out, reporter);
+    let MaterialsCard { judged_by, held_out, .. } = &trained.card;
+    say(&trained, (options.recipe.epochs, common.json), (judged_by, held_out), reporter);
     Ok(0)
 }
 
@@ -260,7 +262,7 @@ fn followed<T>(
 fn say<C: serde::Serialize, F>(
     trained: &Trained<C, F>,
     (epochs, json): (usize, bool),
-    held_out: &BTreeMap<String, f64>,
+    (judged_by, held_out): (&JudgedBy, &BTreeMap<String, f64>),
     reporter: &Reporter,
 ) {
     if trained.end == TrainingEnd::ByCaller {
@@ -272,7 +274,11 @@ fn say<C: serde::Serialize, F>(
         return;
     }
     let figures: Vec<String> = held_out.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
-    let judged = if figures.is_empty() { "nothing was held out".to_owned() } else { figures.join(", ") };
+    let judged = match judged_by {
+        _ if !figures.is_empty() => figures.join(", "),
+        JudgedBy::Nothing => "nothing was held out".to_owned(),
+        _ => "its figures come at the end of the training".to_owned(),
+    };
     println!("{}: epoch {} of {}; {judged}", trained.files.network.weights.display(), trained.epoch, trained.history.len());
 }
 

@@ -1,5 +1,8 @@
 //! What a frame alone says of its pixels.
 
+use std::borrow::Cow;
+
+use super::dead::dead_pixels;
 use super::field::find_told_field;
 use super::layers::{Cause, Masks};
 use super::shape::FieldShape;
@@ -49,5 +52,23 @@ pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
         masks.add(Cause::BurnedIn, flagged(flags, BURNED_IN));
         masks.add(Cause::DeadPixels, flagged(flags, DEAD | HOT | UNSTABLE));
     }
+    // A hot pixel is often at the end of the scale.
+    let usable = masks.usable(pixels.width, pixels.height, &[Cause::Saturation]);
+    let found = of_quanta(frame).and_then(|quanta| dead_pixels(&quanta, &usable, masks.layer(Cause::BurnedIn)));
+    if let Some(dead) = found {
+        masks.add(Cause::DeadPixels, dead);
+    }
     masks
+}
+
+/// Values proportional to quanta, up to an offset; `None` where a console has processed them: it has mended what was dead, and has written
+/// and sharpened.
+fn of_quanta(frame: &Frame) -> Option<Cow<'_, Image<f32>>> {
+    match frame.domain {
+        Domain::Linear => Some(Cow::Borrowed(&frame.pixels)),
+        Domain::Log if frame.unit.as_deref() == Some("neper") => {
+            Some(Cow::Owned(frame.pixels.map(|nepers| (-nepers).clamp(-80.0, 80.0).exp())))
+        }
+        Domain::Log | Domain::Display | Domain::Unknown => None,
+    }
 }

@@ -24,7 +24,7 @@ pub enum Cause {
     Invalid,
     /// The simulation shows a guess: what fills the place that a moved body left.
     Filled,
-    /// Dead, hot or unstable, as the detector calibration says; they were interpolated.
+    /// Dead, hot or unstable, as the detector calibration says (they were interpolated), or as the frame shows by itself.
     DeadPixels,
     /// Around the beads, whose positions were fitted.
     Beads,

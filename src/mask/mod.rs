@@ -5,6 +5,8 @@
 //! *The open field* (`find_field`): where the collimator, or the intensifier's input window, lets the beam through. The shut part is
 //! recognised by what physics leaves there (leakage, glare and readout noise, or a console's paint) and by its shape: the open field is
 //! an intersection of half planes and at most one disc.
+//!
+//! *Dead pixels* are those of the detector calibration, and those that a raw frame shows by itself.
 
 mod shape;
 mod signal;
@@ -19,9 +21,12 @@ mod outline;
 mod field;
 mod fill;
 mod told;
-mod frame;
-mod layers;
 mod text;
+mod local_noise;
+mod dead_lines;
+mod dead;
+mod layers;
+mod frame;
 
 pub use field::{Field, find_field, find_told_field};
 pub use fill::fill;

@@ -31,6 +31,11 @@ pub struct Component {
 }
 
 impl Component {
+    /// First and last column, first and last row.
+    pub(super) fn bounds(&self) -> [usize; 4] {
+        [self.left, self.right, self.top, self.bottom]
+    }
+
     fn height(&self) -> usize {
         self.bottom - self.top + 1
     }

@@ -9,6 +9,21 @@ pub(super) fn is_of_looseness(words: &str) -> bool {
     words.contains(LOOSELY)
 }
 
+/// χ² per degree of freedom from which residuals are said to be larger than expected.
+const LARGER_CHI2_PER_DOF: f64 = 1.5;
+/// What is said of them, behind how many times.
+const LARGER: &str = "times what was expected; all uncertainties are scaled up by that";
+
+/// What is said of residuals that noise and bead places do not explain; `None` where they do.
+pub(super) fn larger_residuals(chi2_per_dof: f64) -> Option<String> {
+    (!(chi2_per_dof <= LARGER_CHI2_PER_DOF)).then(|| format!("residuals are {:.1} {LARGER}", chi2_per_dof.sqrt()))
+}
+
+/// Whether a note is of one solution's residuals: another solution has others.
+pub(super) fn is_of_residuals(words: &str) -> bool {
+    words.contains(LARGER)
+}
+
 /// Gathered while a match is judged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Cautions {

@@ -4,7 +4,7 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::case::Case;
-use super::cautions::Cautions;
+use super::cautions::{Cautions, larger_residuals};
 use super::doubt::ORDINARY;
 use super::explained::{Reading, Rejected};
 use super::flat::{Loose, hold, worst_landmark};
@@ -92,12 +92,7 @@ impl Case<'_> {
         }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
-        if settled.chi2_per_dof > 1.5 {
-            notes.push(format!(
-                "residuals are {:.1} times what was expected; all uncertainties are scaled up by that",
-                settled.chi2_per_dof.sqrt()
-            ));
-        }
+        notes.extend(larger_residuals(settled.chi2_per_dof));
         let misstated = self.detections.iter().filter(|shadow| shadow.misstates_covariance()).count();
         if misstated > 0 {
             cautions.say(format!(

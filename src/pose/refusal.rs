@@ -168,7 +168,7 @@ pub enum Refusal {
     Displaced { matched: usize, rms_px: f64, times: f64, displaced: Vec<String> },
     /// The shadows have another size than the beads at their depth.
     #[error(
-        "radii: the shadows are {percent:.0} % {way} than the beads' radii give at the depth of this pose; check the layout's scale and radius_mm", percent = 100.0 * (ratio - 1.0).abs(), way = if *ratio < 1.0 { "smaller" } else { "larger" }
+        "radii: the shadows are {percent:.0} % {way} than the beads' radii give at the depth of this pose; check the layout's scale and radius_mm{slip}", percent = 100.0 * (ratio - 1.0).abs(), way = if *ratio < 1.0 { "smaller" } else { "larger" }, slip = slip_of_radius(*ratio)
     )]
     Radii { ratio: f64 },
     /// The beads match the other way round: metal is not where the frame's domain says that it is.
@@ -306,6 +306,20 @@ fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {
             "by the prior (or telemetry) only {inside} of the {all} beads lie in the frame: aim at the beads, or check where the prior, or world_from_lps, puts them"
         ),
         _ => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
+    }
+}
+
+/// What was probably stated where shadows are so many times as large as the radii give.
+fn slip_of_radius(ratio: f64) -> &'static str {
+    let is = |factor: f64| (0.8..=1.25).contains(&(ratio / factor));
+    if is(0.5) {
+        " (a diameter, where the radius is asked for?)"
+    } else if is(10.0) {
+        " (centimetres, or a decimal point in the wrong place?)"
+    } else if is(0.1) {
+        " (a decimal point in the wrong place?)"
+    } else {
+        ""
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::object_file::PresetFile;
-use super::physics::nearest;
+use crate::spelling::nearest;
 use crate::table::{cells_of, unmarked};
 
 /// Numbers and names of labels.

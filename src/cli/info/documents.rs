@@ -7,13 +7,14 @@ use serde_json::{Map, Value, json};
 use super::cameras;
 use super::found::{Found, InfoError, object};
 use super::kinds::{COUNTED, recognise, shown};
+use crate::beads::parse_markups;
 use crate::regular;
 use crate::table::{cells_of, unmarked};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let text = regular::read_text(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
     if name.ends_with(".fcsv") {
-        return Ok(("markups", fcsv(path, &text)?, Vec::new()));
+        return Ok(("markups", with_doubts(path, &text, fcsv(path, &text)?), Vec::new()));
     }
     let json: Value = serde_json::from_str(&text).map_err(|error| InfoError::Damaged {
         path: path.to_owned(),
@@ -28,7 +29,7 @@ pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
         return Ok(camera);
     }
     match recognise(&map) {
-        Some("markups") => Ok(("markups", markups(path, &map)?, Vec::new())),
+        Some("markups") => Ok(("markups", with_doubts(path, &text, markups(path, &map)?), Vec::new())),
         Some(kind) => Ok((kind, facts(kind, &map), Vec::new())),
         None => {
             let keys = map.keys().take(8).cloned().collect::<Vec<_>>().join(", ");
@@ -92,6 +93,16 @@ fn adapter(map: &Map<String, Value>) -> Map<String, Value> {
         "carm": keys("carm"),
         "robot": keys("robot"),
     }))
+}
+
+/// `facts` of a list of points, and what the descriptions of beads probably mean and do not say.
+fn with_doubts(path: &Path, text: &str, mut facts: Map<String, Value>) -> Map<String, Value> {
+    // Points that are no beads have no doubts either.
+    let doubts = parse_markups(path, text.as_bytes()).map(|layout| layout.doubts).unwrap_or_default();
+    if !doubts.is_empty() {
+        facts.insert("doubts".into(), doubts.into());
+    }
+    facts
 }
 
 fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, InfoError> {

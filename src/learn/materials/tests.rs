@@ -114,8 +114,12 @@ fn a_resumed_training_is_the_straight_one() {
     assert!(matches!(&together.card.judged_by, JudgedBy::Siblings { weights_sha256 } if weights_sha256.len() == 2));
     assert_eq!(together.card.specimens, ["3 phantoms"]);
     // One that is not at its end has no figures to lend.
-    let whole = MaterialsRecipe { fresh_phantoms: 1, ..short() };
-    refused(&TrainOptions { siblings: vec![paths[1].clone()], ..options(folder.path(), "other", whole) }, "not at its end");
+    // A training that has no figures of its own is at its end as well as any: its card said that nothing judged it.
+    for fresh_phantoms in [1, 0] {
+        let whole = MaterialsRecipe { fresh_phantoms, ..short() };
+        let name = format!("other-{fresh_phantoms}");
+        refused(&TrainOptions { siblings: vec![paths[1].clone()], ..options(folder.path(), &name, whole) }, "not at its end");
+    }
 }
 
 /// The loss falls: sixty steps over patches of one phantom are a beginning.

@@ -215,13 +215,13 @@ impl<'a> Training<'a> {
     }
 
     /// Writes the best parameters of `state`, then their card with `figures`: until it is there too, a reader meets a checksum that disagrees.
-    fn written(&self, state: &State, figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
+    /// `is_last`: they are what the training comes to.
+    fn written(&self, state: &State, figures: BTreeMap<String, f64>, is_last: bool) -> Result<MaterialsCard, LearnError> {
         let Some((kept_epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
         let training_devices = state.devices.clone();
         let mut card = MaterialsCard { held_out: figures, kept_epoch: *kept_epoch, training_devices, ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
         card.weights_sha256 = sha256_bytes(&weights);
-        let is_last = !card.held_out.is_empty();
         siblings::judge(&mut card, &self.options.siblings, is_last)?;
         let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
         write_atomically(weights_path, |file| file.write_all(&weights))?;
@@ -244,7 +244,7 @@ impl<'a> Training<'a> {
             let held_out = specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen);
             figures_of(&network, held_out, self.recipe.fresh_phantoms)
         };
-        let card = self.written(state, figures.clone())?;
+        let card = self.written(state, figures.clone(), end != TrainingEnd::ByCaller)?;
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out: figures, history: state.history.clone(), end })
     }
 }
@@ -332,7 +332,7 @@ impl Learner for Training<'_> {
 
     fn write_network(&self, state: &State, _: &Self::Found) -> Result<(), LearnError> {
         // Figures cost minutes: they come at the end.
-        self.written(state, BTreeMap::new()).map(drop)
+        self.written(state, BTreeMap::new(), false).map(drop)
     }
 
     fn files(&self) -> &TrainFiles {

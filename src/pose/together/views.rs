@@ -10,7 +10,7 @@ use crate::beads::Landmark;
 use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
-use crate::pose::cautions::is_of_looseness;
+use crate::pose::cautions::{is_of_looseness, is_of_residuals, larger_residuals};
 use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
 use crate::pose::record::{BodyPose, Pose, square};
 use crate::pose::residual::BeadResidual;
@@ -70,7 +70,8 @@ impl Common<'_> {
         // What its own beads hold loosely all views together may hold: how loosely is told anew, at a landmark where one is asked for.
         let at_landmark = worst_landmark(&solution, self.landmarks, &solution.covariance);
         let is_asked = at_landmark.is_some();
-        let stands = |words: &str| !(is_off_plane(words) || (is_asked && is_of_looseness(words)));
+        let stands = |words: &str| !(is_off_plane(words) || is_of_residuals(words) || (is_asked && is_of_looseness(words)));
+        let chi2_per_dof = self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64;
         let holds = |n: &usize| beads[*n].used && self.lps_from_body(view, *n) == Rigid::IDENTITY;
         let places_mm: Vec<DVec3> = (0..setup.layout.beads.len()).filter(holds).map(|n| setup.layout.beads[n].lps_mm).collect();
         let loose = hold(&solution, &places_mm, at_landmark, &solution.covariance);
@@ -84,7 +85,7 @@ impl Common<'_> {
             rms_px: Some(rms_px),
             rms_mm: Some(rms_px * motion.centre_mm().z / k.fx),
             unseen: Unseen::of(&beads, motion.centre_mm().z / k.fx),
-            chi2_per_dof: Some(self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64),
+            chi2_per_dof: Some(chi2_per_dof),
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(motion.pivot_mm),
@@ -102,6 +103,7 @@ impl Common<'_> {
             Some(Loose::NearlyFlat(words)) => pose.notes.push(words),
             None => {}
         }
+        pose.notes.extend(larger_residuals(chi2_per_dof));
         pose.on_panel_anew()
     }
 

@@ -10,7 +10,7 @@ mod spectrum_file;
 pub use elements::{Coefficients, ELEMENT_COUNT, ENERGY_RANGE_KEV, element_attenuation, symbol, z_of};
 pub use form_factors::{FormFactors, form_factors};
 pub use formula::atomic_weight;
-pub use materials::{Material, material_names, materials, nearest};
+pub use materials::{Material, material_names, materials};
 pub use spectrum::{ANODE_ANGLES_DEG, Bin, KVP_RANGE, Spectrum};
 
 /// Why a physical quantity is not known.

@@ -26,6 +26,7 @@ pub fn check_beads(setup: &Setup, scene: &Scene, layout: &BeadLayout) -> Vec<Fin
     let points: Vec<DVec3> = layout.beads.iter().map(|bead| bead.lps_mm).collect();
     let stated = stated_system(setup);
     [
+        check_descriptions(layout),
         check_span(&points),
         against_spheres(scene, layout, &points, stated),
         against_ct(scene, &points, stated),
@@ -61,6 +62,12 @@ fn remedy(mistake: &Mistake, stated: Option<&str>) -> String {
 fn span_mm(points: &[DVec3]) -> f64 {
     let (low, high) = points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
     (high - low).length()
+}
+
+/// What descriptions probably mean and do not say.
+fn check_descriptions(layout: &BeadLayout) -> Option<Finding> {
+    let remedy = "correct them in Slicer; docs/beads.md lists the words that are read";
+    (!layout.doubts.is_empty()).then(|| Finding::warn("bead descriptions", layout.doubts.join("; "), remedy))
 }
 
 fn check_span(points: &[DVec3]) -> Option<Finding> {

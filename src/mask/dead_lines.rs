@@ -1,0 +1,121 @@
+//! Rows and columns that do not answer, or answer otherwise than those beside them, along much of their length.
+
+use rayon::prelude::*;
+
+use crate::image::Image;
+
+/// A line is looked at in so many parts, and is one where so many say the same.
+const PARTS: usize = 12;
+const FEWEST_PARTS: usize = 4;
+/// Pixels of a part that are looked at, about, and at least.
+const LOOKS: usize = 32;
+const FEWEST_LOOKS: usize = 12;
+/// Lines beside each other, at most.
+const WIDEST: usize = 2;
+/// Lines so far beside one tell what it should be.
+const BESIDE: usize = 3;
+/// It differs from these by so many standard deviations of a pixel.
+const LEAST_SIGMAS: f64 = 2.0;
+/// The next lines differ by no more than this share of that, or than so many standard deviations of their median: a sharp wire's do.
+const LEFT_BESIDE: f64 = 0.15;
+const SIGMAS_BESIDE: f64 = 5.0;
+/// σ of a median over that of a mean, and of a difference from the mean of two over that of one.
+const OF_MEDIAN: f64 = 1.25 * 1.22;
+
+/// The frame seen along its columns, or along its rows.
+struct Lines<'a> {
+    pixels: &'a [f32],
+    usable: &'a [bool],
+    /// How many there are, and how long they are.
+    count: usize,
+    length: usize,
+    /// From one to the next, and from a pixel to the next.
+    strides: [usize; 2],
+    floor: f64,
+}
+
+/// Pixels of `pixels` on lines that differ from those beside them, by more than `floor`. Lines at the very border are not looked at.
+pub(super) fn dead_lines(pixels: &Image<f32>, usable: &Image<bool>, floor: f64) -> Image<bool> {
+    let (width, height) = (pixels.width, pixels.height);
+    let mut dead = Image::filled(width, height, false);
+    for (count, length, strides) in [(width, height, [1, width]), (height, width, [width, 1])] {
+        let lines = Lines { pixels: &pixels.pixels, usable: &usable.pixels, count, length, strides, floor };
+        let parts: Vec<Vec<[f64; WIDEST]>> = (0..PARTS).into_par_iter().map(|part| lines.departures(part)).collect();
+        for line in 0..count {
+            for lines_wide in 1..=WIDEST {
+                for sign in [-1.0, 1.0] {
+                    let is_hit = |part: &usize| parts[*part][line][lines_wide - 1] * sign > 0.0;
+                    let hits: Vec<usize> = (0..PARTS).filter(is_hit).collect();
+                    let (Some(first), Some(last)) = (hits.first(), hits.last()) else { continue };
+                    if hits.len() < FEWEST_PARTS {
+                        continue;
+                    }
+                    for along in lines.part(*first).start..lines.part(*last).end {
+                        (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
+                    }
+                }
+            }
+        }
+    }
+    dead
+}
+
+impl Lines<'_> {
+    fn index(&self, line: usize, along: usize) -> usize {
+        line * self.strides[0] + along * self.strides[1]
+    }
+
+    fn part(&self, part: usize) -> std::ops::Range<usize> {
+        part * self.length / PARTS..(part + 1) * self.length / PARTS
+    }
+
+    /// Of each line, alone and together with the next: by how much it differs in a part from what lies beside it, 0 where it does not.
+    fn departures(&self, part: usize) -> Vec<[f64; WIDEST]> {
+        let mut buffer = Vec::with_capacity(2 * LOOKS);
+        (0..self.count)
+            .map(|line| std::array::from_fn(|more| self.departure(part, line, more + 1, &mut buffer).unwrap_or(0.0)))
+            .collect()
+    }
+
+    fn departure(&self, part: usize, line: usize, lines_wide: usize, buffer: &mut Vec<f32>) -> Option<f64> {
+        let [low, high] = [line.checked_sub(BESIDE)?, line + lines_wide - 1 + BESIDE];
+        if high >= self.count {
+            return None;
+        }
+        let range = self.part(part);
+        let step = (range.len() / LOOKS).max(1);
+        let value = |line: usize, along: usize| self.pixels[self.index(line, along)];
+        // Medians over the part of what a line is more than those beside it, and of how much these differ.
+        let mut median = |of: &dyn Fn(usize) -> f32| {
+            buffer.clear();
+            let looked_at = range.clone().step_by(step).filter(|along| self.usable[self.index(line, *along)]);
+            buffer.extend(looked_at.map(of).filter(|value| value.is_finite()));
+            let middle = buffer.len() / 2;
+            let is_enough = buffer.len() >= FEWEST_LOOKS;
+            is_enough.then(|| (f64::from(*buffer.select_nth_unstable_by(middle, f32::total_cmp).1), buffer.len()))
+        };
+        let expected = |along: usize| 0.5 * (value(low, along) + value(high, along));
+        let (own, looks) = median(&|along| value(line, along) - expected(along))?;
+        if !(own.abs() > LEAST_SIGMAS * self.floor) {
+            return None;
+        }
+        let (apart, _) = median(&|along| (value(low, along) - value(high, along)).abs())?;
+        let sigma = (apart / (0.6745 * std::f64::consts::SQRT_2)).max(self.floor);
+        let mut least = own.abs();
+        for other in line + 1..line + lines_wide {
+            let (departure, _) = median(&|along| value(other, along) - expected(along))?;
+            least = least.min(departure * own.signum());
+        }
+        if !(least > LEAST_SIGMAS * sigma) {
+            return None;
+        }
+        let room = (LEFT_BESIDE * least).max(SIGMAS_BESIDE * OF_MEDIAN * sigma / (looks as f64).sqrt());
+        for other in [line - 1, line + lines_wide] {
+            let (left, _) = median(&|along| value(other, along) - expected(along))?;
+            if !(left.abs() <= room) {
+                return None;
+            }
+        }
+        Some(own)
+    }
+}

@@ -1,0 +1,134 @@
+//! How far a pixel differs from its surroundings by noise alone, at each value of a frame.
+
+use rayon::prelude::*;
+
+use crate::image::Image;
+
+/// Places at which the noise is looked at, about.
+const SAMPLES: f64 = 60_000.0;
+const BINS: usize = 24;
+/// Share of a bin's differences that counts: the largest are edges.
+const COUNTED: f64 = 0.98;
+/// σ over the mean size of a normal number, and some room for what is left out.
+const SIGMA_PER_MEAN: f64 = 1.3;
+/// σ over the median size of a normal number.
+const SIGMA_PER_MEDIAN: f64 = 1.0 / 0.6745;
+/// A frame of fewer quanta a pixel has no tail that is known well enough.
+const FEWEST_QUANTA: f64 = 5.0;
+
+/// The noise of differences from the surroundings' median.
+pub(super) struct LocalNoise {
+    /// Ascending mean values of the bins.
+    values: Vec<f64>,
+    /// Standard deviation in each bin.
+    sigmas: Vec<f64>,
+    /// At most: what a quantum adds to a value. It bounds the skewness.
+    gain: f64,
+    /// Differences smaller than this are steps of the values.
+    pub floor: f64,
+}
+
+/// Median of the sixteen pixels two away, as far as the frame has them and they are numbers; `None` where these are fewer than half.
+pub(super) fn around(pixels: &Image<f32>, column: usize, row: usize) -> Option<f32> {
+    let (mut ring, mut count) = ([0.0f32; 16], 0);
+    for dv in 0..5usize {
+        for du in 0..5usize {
+            if !(matches!(dv, 0 | 4) || matches!(du, 0 | 4)) || column + du < 2 || row + dv < 2 {
+                continue;
+            }
+            let (u, v) = (column + du - 2, row + dv - 2);
+            if u < pixels.width && v < pixels.height && pixels.pixels[v * pixels.width + u].is_finite() {
+                ring[count] = pixels.pixels[v * pixels.width + u];
+                count += 1;
+            }
+        }
+    }
+    let ring = &mut ring[..count];
+    ring.sort_unstable_by(f32::total_cmp);
+    (count >= 8).then(|| 0.5 * (ring[(count - 1) / 2] + ring[count / 2]))
+}
+
+impl LocalNoise {
+    /// Measures `pixels`, proportional to quanta up to an offset, where they are `usable`; `None` where these are too few or all alike.
+    pub fn measure(pixels: &Image<f32>, usable: &Image<bool>) -> Option<Self> {
+        let (width, height) = (pixels.width, pixels.height);
+        // An odd stride looks at all columns of a pattern of two.
+        let stride = ((width * height) as f64 / SAMPLES).sqrt().max(1.0) as usize | 1;
+        let rows: Vec<usize> = (0..height).step_by(stride).collect();
+        let mut samples: Vec<[f32; 3]> = rows
+            .par_iter()
+            .flat_map_iter(|&row| {
+                (0..width).step_by(stride).filter(move |column| usable.pixels[row * width + column]).filter_map(move |column| {
+                    let value = pixels.pixels[row * width + column];
+                    let around = around(pixels, column, row)?;
+                    value.is_finite().then(|| [around, (value - around).abs(), value])
+                })
+            })
+            .collect();
+        if samples.len() < 32 * BINS {
+            return None;
+        }
+        samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let range = f64::from(samples[samples.len() - 1][0] - samples[0][0]);
+        let step = if samples.iter().all(|sample| sample[2].fract() == 0.0) { 1.0 } else { 0.0 };
+        let floor = (0.5 * step).max(1e-5 * range);
+        let (mut values, mut sigmas) = (Vec::new(), Vec::new());
+        for bin in samples.chunks(samples.len().div_ceil(BINS)) {
+            let mut sizes: Vec<f64> = bin.iter().map(|sample| f64::from(sample[1])).collect();
+            sizes.sort_unstable_by(f64::total_cmp);
+            let counted = &sizes[..(COUNTED * sizes.len() as f64).ceil() as usize];
+            // Few quanta are few different sizes, of which the median is one; the mean of many edges is too large, which does no harm.
+            let of_mean = SIGMA_PER_MEAN * counted.iter().sum::<f64>() / counted.len() as f64;
+            values.push(bin.iter().map(|sample| f64::from(sample[0])).sum::<f64>() / bin.len() as f64);
+            sigmas.push(of_mean.max(SIGMA_PER_MEDIAN * sizes[sizes.len() / 2]).max(floor));
+        }
+        let gain = most_gain(&values, &sigmas);
+        sigmas.iter().all(|sigma| *sigma > 0.0).then_some(Self { values, sigmas, gain, floor })
+    }
+
+    /// Standard deviation where the surroundings have this value.
+    pub fn sigma(&self, value: f64) -> f64 {
+        let (values, sigmas) = (&self.values, &self.sigmas);
+        let upper = values.partition_point(|other| *other < value).min(values.len() - 1);
+        let lower = upper.saturating_sub(1);
+        let span = values[upper] - values[lower];
+        let fraction = if span > 0.0 { ((value - values[lower]) / span).clamp(0.0, 1.0) } else { 0.0 };
+        sigmas[lower] + fraction * (sigmas[upper] - sigmas[lower])
+    }
+
+    /// Whether noise makes a pixel differ so far from surroundings of this value with less than e to the minus `rarity`.
+    // Of N quanta D / g too many come with less than exp(−N h(D / (g N))), h(x) = (1 + x) ln(1 + x) − x (Chernoff's bound), N = (σ / g)²;
+    // too few with less than a normal number would be.
+    pub fn is_beyond(&self, difference: f64, around: f64, rarity: f64) -> bool {
+        let variance = self.sigma(around).powi(2);
+        if !(difference > 0.0 && self.gain > 0.0) {
+            return difference * difference > 2.0 * variance * rarity;
+        }
+        let quanta = variance / self.gain.powi(2);
+        // A median of whole quanta lies up to half of one below the mean.
+        let excess = (difference - 0.5 * self.gain).max(0.0);
+        let x = excess * self.gain / variance;
+        let h = if x > 1e-3 { (1.0 + x) * x.ln_1p() - x } else { 0.5 * x * x };
+        quanta >= FEWEST_QUANTA && quanta * h > rarity
+    }
+}
+
+/// What a quantum adds to a value, at most: from how the variance rises with the value, and as if there were no offset.
+fn most_gain(values: &[f64], sigmas: &[f64]) -> f64 {
+    let middle = |mut of: Vec<f64>| {
+        of.sort_by(f64::total_cmp);
+        of.get(of.len() / 2).copied().unwrap_or(0.0)
+    };
+    let variances: Vec<f64> = sigmas.iter().map(|sigma| sigma * sigma).collect();
+    let ratio = if values.iter().all(|value| *value > 0.0) {
+        middle(variances.iter().zip(values).map(|(variance, value)| variance / value).collect())
+    } else {
+        0.0
+    };
+    let third = values.len() / 3;
+    let (low, high) = (0..third, values.len() - third..values.len());
+    let rise = middle(variances[high.clone()].to_vec()) - middle(variances[low.clone()].to_vec());
+    let run = middle(values[high].to_vec()) - middle(values[low].to_vec());
+    let slope = if run > 0.0 { rise / run } else { 0.0 };
+    ratio.max(slope).max(0.0)
+}

@@ -161,11 +161,13 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
 fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, CalibrateCarmError> {
     let joints = args.joints.as_deref().map(read_joints).transpose()?.unwrap_or_default();
     let mut shots = Vec::new();
+    let progress = reporter.progress("reading shots", args.shots.len() as u64);
     for path in &args.shots {
         if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
             notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
             shots.extend(found);
+            progress.advance(1);
             continue;
         }
         let pose = Pose::read(path)?;
@@ -178,6 +180,7 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
             Ok(shot) => shots.push(shot),
             Err(why) => reporter.note(format_args!("note: {name} is no shot: {why}")),
         }
+        progress.advance(1);
     }
     Ok(shots)
 }

@@ -23,6 +23,9 @@ use crate::scene::physics::{Material, Spectrum};
 
 /// Measure a calibration.
 #[derive(Clone, Debug, Args)]
+#[command(after_help = "Examples:
+  sidecarm calibrate beads CT.nii.gz --radius 0.75 --out beads.mrk.json
+  sidecarm calibrate carm pose-*.json --joints joints.csv --calibration nominal.json --out carm.json")]
 pub struct CalibrateArgs {
     /// Of what.
     #[command(subcommand)]

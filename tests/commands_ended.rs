@@ -88,7 +88,8 @@ fn ended_by(mut running: Running, signal: Signal) -> (Option<i32>, String, f64) 
 fn a_command_that_a_signal_ends_leaves_nothing_half_written() {
     // Whoever runs the tests in the background of a shell has them ignore Ctrl-C.
     let status = std::fs::read_to_string("/proc/self/status").expect("its status");
-    let mask = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok()).expect("a mask");
+    let mask =
+        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok()).expect("a mask");
     let folder = tempfile::tempdir().expect("a folder");
     let log = long_log(folder.path());
     let mut cases = 0;

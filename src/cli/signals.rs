@@ -1,5 +1,6 @@
 //! Signals that end a program: Ctrl-C, SIGTERM and SIGHUP.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
@@ -9,7 +10,11 @@ use crate::reporter::Reporter;
 /// Files that were not whole are gone by then, or are told.
 pub(super) const REMOVED_WITHIN: Duration = Duration::from_millis(80);
 /// A program whose libraries do not come to their end, or whose words nobody takes, is ended without them.
+#[cfg(unix)]
 const ENDED_WITHIN: Duration = Duration::from_secs(1);
+
+/// The command at hand ends in its own way, as the check at the end of `session new` does.
+static IS_HEARD: AtomicBool = AtomicBool::new(false);
 
 /// What ended a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,9 +43,9 @@ impl Signal {
 /// program started, as by `nohup`, stays ignored.
 pub(super) fn end_on_signals(reporter: &Reporter) {
     let (ignored, reporter) = (ignored(), reporter.clone());
-    on_signals(move |signal| {
+    listen(move |signal| {
         let (number, name) = signal.described();
-        if ignored & (1u64 << (number - 1)) == 0 {
+        if ignored & (1u64 << (number - 1)) == 0 && !IS_HEARD.load(Ordering::Relaxed) {
             end(number, name, &reporter);
         }
     });
@@ -73,9 +78,16 @@ fn ignored() -> u64 {
     0
 }
 
-/// Calls `act` at each of them, on a thread of its own, in place of what the system would do. Holds from its return on; where the system gives no
-/// such thread, all stays as it was.
+/// Calls `act` at each of them, on a thread of its own, in place of what the system or [`end_on_signals`] would do. Holds from its return on; where
+/// the system gives no such thread, all stays as it was.
 pub(super) fn on_signals(act: impl Fn(Signal) + Send + 'static) {
+    if listen(act) {
+        IS_HEARD.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Whether it hears them.
+fn listen(act: impl Fn(Signal) + Send + 'static) -> bool {
     let (sender, installed) = channel();
     std::thread::spawn(move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
@@ -88,7 +100,7 @@ pub(super) fn on_signals(act: impl Fn(Signal) + Send + 'static) {
         });
     });
     // Nothing comes where there are none.
-    let _ = installed.recv();
+    installed.recv().is_ok()
 }
 
 #[cfg(unix)]

@@ -48,6 +48,29 @@ fn apart_px(found: &Value, truth: &Value, beads: &Value) -> f64 {
     far.fold(0.0, f64::max)
 }
 
+/// Names under "Commands:" of a help text.
+fn commands(help: &str) -> Vec<String> {
+    let list = help.split("Commands:\n").nth(1).and_then(|list| list.split("\nOptions:").next()).unwrap_or_default();
+    let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
+}
+
+/// Commands that only hold others, as `log`, had none, and the README says that each has.
+#[test]
+fn every_help_text_has_an_example() {
+    let (mut waiting, mut seen) = (vec![vec!["sidecarm".to_owned()]], 0);
+    while let Some(words) = waiting.pop() {
+        let ran = Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(&words[1..]).arg("--help").output().expect("starts");
+        let (help, name) = (String::from_utf8_lossy(&ran.stdout).into_owned(), words.join(" "));
+        assert!(ran.status.success(), "{name}");
+        let examples = help.split_once("\nExample").map_or("", |(_, examples)| examples);
+        assert!(examples.contains(&name), "{name}: {help}");
+        waiting.extend(commands(&help).into_iter().map(|command| [&words[..], &[command]].concat()));
+        seen += 1;
+    }
+    assert!(seen > 25, "{seen}");
+}
+
 /// `register`, `render` and `compare` of the README named files that no kit had, and a scene that had no view.
 #[test]
 fn the_first_commands_of_the_readme_run_in_a_fresh_kit() {

@@ -179,12 +179,13 @@ fn half_a_log_is_read_with_its_loss() {
     std::fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).expect("written");
     let (part, tables, given) = (folder.path().join("part.mcap"), folder.path().join("tables"), folder.path().join("given.mcap"));
     for args in [
-        &["log", "cut", text(&cut), "--from", "0", "--to", "1", "--out", text(&part)][..],
-        &["log", "csv", text(&cut), "--out", text(&tables)],
-        &["log", "redact", text(&cut), "--out", text(&given)],
+        &["log", "cut", text(&cut), "--from", "0", "--to", "1", "--json", "--out", text(&part)][..],
+        &["log", "csv", text(&cut), "--json", "--out", text(&tables)],
+        &["log", "redact", text(&cut), "--json", "--out", text(&given)],
     ] {
         let ran = sidecarm(args);
         assert!(ran.code == Some(3) && ran.stderr.contains("lost from the log"), "{args:?}: {}", ran.stderr);
+        assert!(count(&ran.json(), "losses") >= 1, "{args:?}: {}", ran.stdout);
     }
     // What was made of it is whole by itself.
     for made in [&part, &given] {

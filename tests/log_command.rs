@@ -127,8 +127,9 @@ fn logs_of_one_session_join_and_replay_as_each_alone() {
     let out = folder.path().join("day.mcap");
     let [first, second] = &session.logs;
     // In whatever order they are named.
-    let ran = sidecarm(&["log", "merge", text(second), text(first), "--out", text(&out)]);
+    let ran = sidecarm(&["log", "merge", text(second), text(first), "--json", "--out", text(&out)]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.stdout, ran.stderr);
+    assert_eq!(count(&ran.json(), "logs"), 2, "{}", ran.stdout);
     let told = [info(first), info(second), info(&out)];
     let frames: Vec<Vec<(u64, i64)>> = told.iter().map(arrivals_us).collect();
     let last = frames[0].last().expect("frames").0;

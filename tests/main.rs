@@ -259,6 +259,7 @@ mod crosscheck_tags;
 mod crosscheck_image;
 mod crosscheck_robot;
 mod check_ended;
+mod commands_ended;
 mod crosscheck_session;
 mod crosscheck_live;
 mod crosscheck_rehearsal;

@@ -78,6 +78,31 @@ fn what_would_count_twice_is_refused() {
     }
 }
 
+/// Of two outputs of one name the later replaced the earlier: `calibrate carm --out arm.svg` wrote a calibration, and its drawing over it.
+#[test]
+fn outputs_of_one_name_are_refused() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    for name in ["a.json", "b.json", "c.json"] {
+        std::fs::write(folder.path().join(name), format!("{{\"{name}\": 1}}")).expect("writes");
+    }
+    let cases: [(&[&str], &str); 5] = [
+        (&["calibrate", "carm", "a.json", "b.json", "--calibration", "c.json", "--out"], "new.svg"),
+        (&["calibrate", "robot", "a.json", "b.json", "--scene", "c.json", "--out"], "new.svg"),
+        (&["calibrate", "detector", "a.json", "--dark", "b.json", "--out"], "new.tif"),
+        (&["calibrate", "layout", "--score", "a.json", "--intrinsics", "b.json", "--map", "new.svg", "--out"], "new.svg"),
+        (&["register", "a.json", "--beads", "b.json", "--intrinsics", "c.json", "--overlay", "new.png", "--out"], "new.png"),
+    ];
+    for (args, name) in cases {
+        let (code, said) = run(folder.path(), &[args, &[name][..]].concat());
+        assert_eq!(code, Some(1), "{args:?}: {said}");
+        assert!(said.contains(&format!("{name}: is named for two outputs")), "{args:?}: {said}");
+        assert!(!folder.path().join(name).exists(), "{args:?}");
+        // The control: with another name it fails for what its inputs are.
+        let (code, said) = run(folder.path(), &[args, &["other.json"][..]].concat());
+        assert!(code == Some(1) && !said.contains("two outputs"), "{args:?}: {said}");
+    }
+}
+
 #[test]
 fn no_command_writes_over_its_inputs() {
     let folder = folder();

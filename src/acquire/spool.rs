@@ -10,7 +10,7 @@ use dicom_object::FileMetaTableBuilder;
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
-use crate::image::sync_folder;
+use crate::image::{Temporary, sync_folder, temporary_file};
 
 /// The largest object that is taken.
 pub(super) const MOST_OBJECT_BYTES: u64 = 256 << 20;
@@ -89,18 +89,46 @@ impl Spool {
             .build()
             .map_err(|_| SpoolError::Head)?;
         // Passed over by the watch for its first letter and for its ending; gone when it is dropped.
-        let file = tempfile::Builder::new().prefix(INCOMING).suffix(".part").tempfile_in(&self.folder)?;
+        let file = temporary_file(&self.folder, INCOMING, ".part")?;
         let mut file = BufWriter::with_capacity(1 << 16, file);
         file.write_all(&[0; 128])?;
         file.write_all(b"DICM")?;
         head.write(&mut file).map_err(|_| SpoolError::Head)?;
         Ok(Incoming { file, instance: instance.to_owned(), bytes: 0, hash: Sha256::new() })
     }
+
+    /// Gives a whole object the next name, unless it was taken before.
+    fn take(&self, mut file: NamedTempFile, instance: String, hash: [u8; 32]) -> Result<Taken, SpoolError> {
+        if self.lasting {
+            file.as_file().sync_all()?;
+        }
+        let mut named = self.named.lock().unwrap_or_else(PoisonError::into_inner);
+        if named.hashes.get(&instance) == Some(&hash) {
+            return Ok(Taken::Again);
+        }
+        while named.number < MOST_FILES {
+            named.number += 1;
+            let path = self.folder.join(format!("{}-{:04}.dcm", self.prefix, named.number));
+            match file.persist_noclobber(&path) {
+                Ok(_) => {
+                    named.hashes.insert(instance, hash);
+                    drop(named);
+                    if self.lasting {
+                        sync_folder(&path);
+                    }
+                    return Ok(Taken::New);
+                }
+                Err(taken) if taken.error.kind() == std::io::ErrorKind::AlreadyExists => file = taken.file,
+                Err(refused) => return Err(SpoolError::Write(refused.error.kind())),
+            }
+        }
+        Err(SpoolError::Write(std::io::ErrorKind::AlreadyExists))
+    }
 }
 
 /// An object on its way.
 pub(super) struct Incoming {
-    file: BufWriter<NamedTempFile>,
+    file: BufWriter<Temporary<NamedTempFile>>,
     instance: String,
     bytes: u64,
     hash: Sha256,
@@ -125,32 +153,8 @@ impl Incoming {
     /// It is whole: gives it a name, in the order in which objects become whole.
     pub(super) fn finish(self, spool: &Spool) -> Result<Taken, SpoolError> {
         let Self { file, instance, hash, .. } = self;
-        let mut file = file.into_inner().map_err(|error| SpoolError::Write(error.error().kind()))?;
-        let hash: [u8; 32] = hash.finalize().into();
-        if spool.lasting {
-            file.as_file().sync_all()?;
-        }
-        let mut named = spool.named.lock().unwrap_or_else(PoisonError::into_inner);
-        if named.hashes.get(&instance) == Some(&hash) {
-            return Ok(Taken::Again);
-        }
-        while named.number < MOST_FILES {
-            named.number += 1;
-            let path = spool.folder.join(format!("{}-{:04}.dcm", spool.prefix, named.number));
-            match file.persist_noclobber(&path) {
-                Ok(_) => {
-                    named.hashes.insert(instance, hash);
-                    drop(named);
-                    if spool.lasting {
-                        sync_folder(&path);
-                    }
-                    return Ok(Taken::New);
-                }
-                Err(taken) if taken.error.kind() == std::io::ErrorKind::AlreadyExists => file = taken.file,
-                Err(refused) => return Err(SpoolError::Write(refused.error.kind())),
-            }
-        }
-        Err(SpoolError::Write(std::io::ErrorKind::AlreadyExists))
+        let file = file.into_inner().map_err(|error| SpoolError::Write(error.error().kind()))?;
+        file.end_with(|file| spool.take(file, instance, hash.finalize().into()))
     }
 }
 

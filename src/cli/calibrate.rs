@@ -15,13 +15,17 @@ use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, AddedFilter, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
 use crate::image::{
-    ImageFileError, check_writable, refuse_overwrite, refuse_same_content, sha256_file, write_atomically, write_tiff_f32,
+    ImageFileError, check_writable, refuse_overwrite, refuse_same_content, refuse_twice, sha256_file, write_atomically,
+    write_tiff_f32,
 };
 use crate::reporter::Reporter;
 use crate::scene::physics::{Material, Spectrum};
 
 /// Measure a calibration.
 #[derive(Clone, Debug, Args)]
+#[command(after_help = "Examples:
+  sidecarm calibrate beads CT.nii.gz --radius 0.75 --out beads.mrk.json
+  sidecarm calibrate carm pose-*.json --joints joints.csv --calibration nominal.json --out carm.json")]
 pub struct CalibrateArgs {
     /// Of what.
     #[command(subcommand)]
@@ -155,6 +159,7 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
 fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {
     let maps_path = args.out.with_extension("tif");
     let frames: Vec<&PathBuf> = args.air.iter().chain(&args.dark).collect();
+    refuse_twice(&[&args.out, &maps_path])?;
     refuse_overwrite(&[&args.out, &maps_path], &frames.iter().copied().chain(&args.edge).collect::<Vec<_>>())?;
     // A pair of equal frames has no noise, which is what the gain is measured by.
     refuse_same_content(&frames)?;

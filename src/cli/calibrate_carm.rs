@@ -10,7 +10,7 @@ use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate,
 use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_same_content, write_atomically};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_same_content, refuse_twice, write_atomically};
 use crate::pose::{Pose, PoseFileError};
 use crate::record::RecordError;
 use crate::reporter::Reporter;
@@ -104,6 +104,7 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
     check_range([("--encoder-sigma-deg", sensors.sigma_deg, 5.0), ("--encoder-sigma-mm", sensors.sigma_mm, 50.0)])?;
     let outputs = [args.out.clone(), args.out.with_extension("report.json"), args.out.with_extension("svg")];
     let inputs: Vec<&Path> = args.shots.iter().chain(&args.joints).chain([&args.calibration]).map(PathBuf::as_path).collect();
+    refuse_twice(&outputs)?;
     refuse_overwrite(&outputs.each_ref().map(PathBuf::as_path), &inputs)?;
     refuse_same_content(&args.shots)?;
     check_writable(&args.out)?;
@@ -160,11 +161,13 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
 fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, CalibrateCarmError> {
     let joints = args.joints.as_deref().map(read_joints).transpose()?.unwrap_or_default();
     let mut shots = Vec::new();
+    let progress = reporter.progress("reading shots", args.shots.len() as u64);
     for path in &args.shots {
         if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
             notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
             shots.extend(found);
+            progress.advance(1);
             continue;
         }
         let pose = Pose::read(path)?;
@@ -177,6 +180,7 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
             Ok(shot) => shots.push(shot),
             Err(why) => reporter.note(format_args!("note: {name} is no shot: {why}")),
         }
+        progress.advance(1);
     }
     Ok(shots)
 }

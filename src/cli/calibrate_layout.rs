@@ -8,7 +8,7 @@ use super::calibrate_layout_error::CalibrateShotsError;
 use super::calibrate_layout_shots::{self, ShotsArgs};
 use crate::beads::{BeadsError, read_landmarks, read_markups};
 use crate::calibrate::layout::{LayoutScore, Planned, SelfMatch, map, score};
-use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
+use crate::image::{ImageFileError, refuse_overwrite, refuse_twice, write_atomically};
 use crate::pose::{IntrinsicsFile, PoseFileError};
 use crate::reporter::Reporter;
 
@@ -126,7 +126,9 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
         )?);
     };
     let inputs: Vec<&PathBuf> = std::iter::once(layout).chain(&args.intrinsics).chain(&args.landmarks).collect();
-    refuse_overwrite(&args.out.iter().chain(&args.map).collect::<Vec<_>>(), &inputs)?;
+    let outputs: Vec<&PathBuf> = args.out.iter().chain(&args.map).collect();
+    refuse_twice(&outputs)?;
+    refuse_overwrite(&outputs, &inputs)?;
     let limits = [
         ("--tolerance", args.tolerance, 0.0, 50.0, "above 0, at most 50 mm"),
         ("--isocentre", args.isocentre, 0.0, 1.0, "between 0 and 1"),

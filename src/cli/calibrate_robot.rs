@@ -9,7 +9,7 @@ use super::calibrate_robot_shots::{ShotFiles, read_shots};
 use super::shot_files::{check_range, pretty};
 use crate::acquire::Domain;
 use crate::calibrate::robot::{Assumed, RobotReport, calibrate, plot};
-use crate::image::{check_writable, refuse_overwrite, refuse_same_content, write_atomically};
+use crate::image::{check_writable, refuse_overwrite, refuse_same_content, refuse_twice, write_atomically};
 use crate::reporter::Reporter;
 use crate::scene::{input_files, load};
 
@@ -93,6 +93,7 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
     let outputs = [args.out.clone(), args.out.with_extension("report.json"), args.out.with_extension("svg")];
     let outputs = outputs.each_ref().map(PathBuf::as_path);
     let inputs: Vec<&Path> = args.shots.iter().chain(&args.angles).chain(&args.tracker).map(PathBuf::as_path).collect();
+    refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
     refuse_same_content(&args.shots)?;
     check_writable(&args.out)?;

@@ -63,6 +63,7 @@ pub(super) fn read_shots(
         (Some(tie), tracked) => Some(tie.world_from_lps.inverse() * tie.world_from_tracker * tracked?),
     };
     let (mut shots, mut frames) = (Vec::new(), Vec::new());
+    let progress = reporter.progress("finding the robot", args.shots.len() as u64);
     for path in args.shots {
         if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
@@ -82,6 +83,7 @@ pub(super) fn read_shots(
                 reporter.note(format_args!("note: {} is no shot: its picture is not in the log", shot.name));
             }
             shots.extend(taken.into_values().flatten());
+            progress.advance(1);
             continue;
         }
         let pose = Pose::read(path)?;
@@ -95,6 +97,7 @@ pub(super) fn read_shots(
         frames.push(row.image.clone());
         let carrier = carrier(&pose, row.tracker_from_base);
         shots.extend(shot_of((&name, &pose, row.control_angles_deg, carrier), &frame, reporter));
+        progress.advance(1);
     }
     Ok((shots, frames))
 }

@@ -59,7 +59,7 @@ enum End {
 pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
     let stop = Stop::default();
     let asked = stop.clone();
-    on_signals(move || _ = asked.ask());
+    on_signals(move |_| _ = asked.ask());
     let mut findings = Vec::new();
     let scratch = tempfile::Builder::new().prefix("sidecarm-check-").tempdir();
     // Where there is none, each check that wants one says so.

@@ -15,6 +15,8 @@ const SAMPLES: u64 = 50;
 
 /// Make the samples that a network is trained on.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm dataset scatter pelvis.json --out set")]
 pub struct DatasetArgs {
     #[command(subcommand)]
     of: DatasetOf,

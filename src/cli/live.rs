@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::signals::on_signals;
+use super::signals::{REMOVED_WITHIN, on_signals};
+use crate::image::remove_temporaries;
 use crate::reporter::{Reporter, to_stdout};
 use crate::session::board::Board;
 use crate::session::file::Setup;
@@ -100,7 +101,7 @@ pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter
 /// SIGHUP end it as Ctrl-C does.
 pub(super) fn stop_on_signals(stop: &Stop, reporter: &Reporter) {
     let (stop, reporter) = (stop.clone(), reporter.clone());
-    on_signals(move || match stop.ask() {
+    on_signals(move |_| match stop.ask() {
         1 => reporter.note("ending the session; again to leave at once"),
         2 => {
             reporter.note("leaving at once; what is recorded is kept");
@@ -123,6 +124,7 @@ fn leave_in_any_case(reporter: &Reporter) {
 }
 
 fn leave_now(reporter: &Reporter) -> ! {
+    remove_temporaries(REMOVED_WITHIN);
     reporter.note("left without a report: `sidecarm replay` makes it from the log");
     std::process::exit(3);
 }

@@ -16,6 +16,9 @@ use crate::session::logbook::LogbookError;
 
 /// What a log holds, whether it is whole, and other logs and tables made of it. Logs are read, never changed.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm log info run-1/session.mcap
+  sidecarm log csv run-1/session.mcap --out tables")]
 pub struct LogArgs {
     #[command(subcommand)]
     command: LogCommand,

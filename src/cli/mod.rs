@@ -88,7 +88,8 @@ const EXAMPLES: &str = "Examples:
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics k.json --out pose.json
   sidecarm render scene.json --pose pose.json --out drr.tif --explain
 
-Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said which).";
+Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said which), 128 + N ended by
+signal N (nothing half-written is left).";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -144,6 +145,9 @@ pub fn main() -> ExitCode {
     }
     crate::foreign::install(crate::foreign::ForeignReader::this_program());
     let reporter = Reporter::stderr();
+    if !hears_signals(&cli.command) {
+        signals::end_on_signals(&reporter);
+    }
     ExitCode::from(dispatch(&cli.command, &reporter))
 }
 
@@ -162,6 +166,17 @@ fn lists_devices(command: &Command) -> bool {
         | Command::Devices(_) => true,
         #[cfg(feature = "learn")]
         Command::Train(_) | Command::Dataset(_) => true,
+        _ => false,
+    }
+}
+
+/// Whether a command ends in its own way at a signal, or with the process that started it.
+fn hears_signals(command: &Command) -> bool {
+    match command {
+        Command::Demo(_) | Command::Live(_) | Command::Check(_) | Command::ReadForeign(_) => true,
+        Command::Devices(args) => args.check.is_some(),
+        #[cfg(target_os = "linux")]
+        Command::KeepLog(_) => true,
         _ => false,
     }
 }

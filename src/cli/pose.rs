@@ -15,6 +15,8 @@ use crate::reporter::Reporter;
 
 /// Poses as other tools write and read them.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm pose convert POSE.json --to opencv --out camera.yml")]
 pub struct PoseArgs {
     /// What to do
     #[command(subcommand)]

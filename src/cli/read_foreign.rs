@@ -24,11 +24,12 @@ pub enum ReadForeignError {
     Io(#[from] std::io::Error),
 }
 
-/// Serves one request, or all that come. The limits come first, before a byte of the file is looked at.
+/// Serves one request, or all that come. The limits come before a byte of the file is looked at.
 ///
 /// # Errors
 /// When the request is unknown, a limit cannot be set, or the parent has gone.
 pub fn run(args: &ReadForeignArgs) -> Result<u8, ReadForeignError> {
+    foreign::end_unheard()?;
     let mut input = foreign::standard_input()?;
     let mut out = std::io::stdout().lock();
     let Some(asked) = &args.request else { return frames(&mut input, &mut out) };

@@ -6,7 +6,7 @@ use super::register_error::RegisterError;
 use super::shot_files::read_priors;
 use crate::acquire::Domain;
 use crate::beads::{BeadLayout, Landmark, read_landmarks, read_markups};
-use crate::image::refuse_overwrite;
+use crate::image::{refuse_overwrite, refuse_twice};
 use crate::pose::{IntrinsicsFile, Pose, Prior};
 use crate::reporter::Reporter;
 
@@ -127,6 +127,7 @@ impl Given {
         ]
         .into_iter()
         .flatten();
+        refuse_twice(outputs)?;
         refuse_overwrite(outputs, &args.frames.iter().chain(&args.prior).chain(named).collect::<Vec<_>>())?;
         if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
             return Err(RegisterError::Radius { found });

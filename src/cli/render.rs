@@ -217,7 +217,7 @@ pub enum RenderCommandError {
 /// When the scene is wrong, the device is not there, the bound cannot be met, or a file cannot be written.
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandError> {
     // An image may take long: what cannot be written is refused before.
-    for output in std::iter::once(&args.out).chain(&args.png) {
+    for output in std::iter::once(&args.out).chain(&args.png).chain(&args.dicom) {
         check_writable(output)?;
     }
     let mut scene = scene::load(&args.scene, args.pose.is_none(), reporter)?;

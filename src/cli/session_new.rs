@@ -53,6 +53,8 @@ const ROBOT: Device = Device {
 
 /// Sessions.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm session new session.json")]
 pub struct SessionArgs {
     #[command(subcommand)]
     of: SessionOf,

@@ -97,6 +97,7 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         Some(path) => poses(path)?.into_iter().map(Some).collect(),
         None => vec![None],
     };
+    let progress = reporter.progress("timing views", poses.len() as u64);
     let (mut views, mut cameras) = (Vec::new(), Vec::new());
     let all = Stopwatch::start();
     for pose in poses {
@@ -105,6 +106,7 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         }
         cameras.extend(scene.view);
         views.push(time(&scene, &mut renderer, args)?);
+        progress.advance(1);
     }
     let per_second = match args.replan {
         true => (views.len() * args.repeat.get()) as f64 / all.ms() * 1e3,

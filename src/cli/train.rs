@@ -20,6 +20,8 @@ use crate::time::Stopwatch;
 
 /// Train a network on the samples of `sidecarm dataset`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm train scatter set --out my-scatter")]
 pub struct TrainArgs {
     #[command(subcommand)]
     of: TrainOf,

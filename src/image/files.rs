@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use super::Image;
-use super::new_file::sync_folder;
+use super::new_file::{UNNAMED, sync_folder};
+use super::temporary::{Temporary, temporary_file};
 use crate::regular;
 
 /// Why an image file could not be read or written.
@@ -158,7 +159,7 @@ pub fn write_lasting(
     if lasting == Lasting::AtOnce {
         temporary.as_file().sync_all().map_err(io)?;
     }
-    temporary.persist(path).map_err(|error| io(error.error))?;
+    temporary.end_with(|file| file.persist(path).map_err(|error| io(error.error)))?;
     if lasting == Lasting::AtOnce {
         sync_folder(path);
     }
@@ -254,7 +255,7 @@ impl Identity {
     }
 }
 
-fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileError> {
+fn temporary_beside(path: &Path) -> Result<Temporary<tempfile::NamedTempFile>, ImageFileError> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
@@ -269,14 +270,7 @@ fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileErr
     if !folder.is_dir() {
         return Err(ImageFileError::NoFolder { path: path.to_owned(), folder: folder.to_owned() });
     }
-    tempfile::Builder::new().prefix(".sidecarm-").tempfile_in(folder).map_err(|error| {
-        // The error names the temporary file; nobody asked for that.
-        let system =
-            error.get_ref().and_then(std::error::Error::source).and_then(|source| source.downcast_ref::<std::io::Error>());
-        let code = system.and_then(std::io::Error::raw_os_error);
-        let source = code.map_or_else(|| std::io::Error::from(error.kind()), std::io::Error::from_raw_os_error);
-        ImageFileError::Write { path: path.to_owned(), source }
-    })
+    temporary_file(folder, UNNAMED, "").map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
 /// A file of this program in the user's cache folder, which need not exist; `None` where no such folder is known.

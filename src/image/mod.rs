@@ -4,6 +4,7 @@ pub mod dicom;
 mod files;
 mod new_file;
 pub mod plot;
+mod temporary;
 mod ticks;
 mod vectors;
 mod video;
@@ -14,7 +15,8 @@ pub use files::{
     write_png_rgb, write_tiff_f32, write_tiff_f32_lasting,
 };
 
-pub use new_file::{NewFile, sync_folder};
+pub use new_file::{NewFile, UNNAMED, sync_folder};
+pub use temporary::{Temporary, remove_temporaries, temporary_file, temporary_folder};
 pub use ticks::{round_down, round_values};
 pub use vectors::{exp, on_widest_vectors};
 pub use video::VideoFile;

@@ -4,12 +4,17 @@ use std::fs::File;
 use std::io::{Error, ErrorKind, Result};
 use std::path::{Path, PathBuf};
 
+use super::temporary::{Temporary, temporary_file};
+
+/// What files are called that have no name yet, before the random part of that.
+pub const UNNAMED: &str = ".sidecarm-";
+
 /// A file that has its name only from [`NewFile::appear`] on; without that nothing is left behind.
 #[derive(Debug)]
 pub struct NewFile {
     path: PathBuf,
     /// Removes the file when dropped.
-    temporary: tempfile::TempPath,
+    temporary: Temporary<tempfile::TempPath>,
 }
 
 impl NewFile {
@@ -31,8 +36,7 @@ impl NewFile {
     pub fn create(path: &Path) -> Result<(Self, File)> {
         Self::refuse_existing(path)?;
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let made = tempfile::Builder::new().prefix(".sidecarm-").suffix(".part").tempfile_in(folder)?;
-        let (file, temporary) = made.into_parts();
+        let (file, temporary) = temporary_file(folder, UNNAMED, ".part")?.into_parts();
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
@@ -52,10 +56,11 @@ impl NewFile {
     /// # Errors
     /// [`ErrorKind::AlreadyExists`] when one of that name has appeared meanwhile; when the disk does not take it.
     pub fn appear(self) -> Result<PathBuf> {
-        File::options().write(true).open(&self.temporary)?.sync_all()?;
-        self.temporary.persist_noclobber(&self.path).map_err(|error| error.error)?;
-        sync_folder(&self.path);
-        Ok(self.path)
+        let Self { path, temporary } = self;
+        File::options().write(true).open(&*temporary)?.sync_all()?;
+        temporary.end_with(|temporary| temporary.persist_noclobber(&path).map_err(|error| error.error))?;
+        sync_folder(&path);
+        Ok(path)
     }
 }
 

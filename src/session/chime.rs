@@ -8,6 +8,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use super::SessionError;
+use crate::image::temporary_folder;
 use crate::report::Standing;
 use crate::reporter::Reporter;
 use crate::time::Stopwatch;
@@ -97,7 +98,7 @@ impl Chime {
 }
 
 fn play_all(asked: &Receiver<Standing>, players: &[Vec<PathBuf>]) -> Result<(), String> {
-    let folder = tempfile::tempdir().map_err(|error| format!("no temporary folder ({error})"))?;
+    let folder = temporary_folder(&std::env::temp_dir()).map_err(|error| format!("no temporary folder ({error})"))?;
     for standing in asked {
         let (name, tones) = tones(standing);
         let path = folder.path().join(format!("{name}.wav"));

@@ -14,6 +14,7 @@ use super::posing::{Posed, Registered};
 use super::recorded::Recorded;
 use super::records::RESTART_TOPIC;
 use crate::acquire::Frame;
+use crate::image::temporary_folder;
 use crate::pose::Pose;
 use crate::record::LogReader;
 use crate::reporter::Reporter;
@@ -32,7 +33,7 @@ pub fn logged_frames(log: &Path, wanted: &dyn Fn(u32) -> bool, take: &mut TakeFr
     let mut recorded = Recorded::read(log)?;
     let setup = Arc::new(recorded.setup.take().ok_or_else(no_session)?);
     // Pixels of frames that wait are put away there, as in the session; where there is no folder they stay in memory.
-    let parked = tempfile::tempdir().ok();
+    let parked = temporary_folder(&std::env::temp_dir()).ok();
     // Beads are not looked for. What there was to say of the session was said when it was recorded.
     let engine = || {
         let mut engine = Engine::new(Arc::clone(&setup), None, Reporter::silent());

@@ -19,6 +19,9 @@ pub struct CsvArgs {
     /// Folder for the tables.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Writes the tables and says how long they are.
@@ -27,8 +30,11 @@ pub struct CsvArgs {
 /// When the log cannot be read or a table cannot be written.
 pub fn run(args: &CsvArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let report = write_tables(&args.log, &args.out, reporter)?;
-    for (path, rows) in &report.rows {
-        println!("{}: {rows} rows", path.display());
+    if args.json {
+        let tables: Vec<_> = report.rows.iter().map(|(path, rows)| serde_json::json!({"path": path, "rows": rows})).collect();
+        println!("{:#}", serde_json::json!({"tables": tables, "losses": report.losses}));
+    } else {
+        report.rows.iter().for_each(|(path, rows)| println!("{}: {rows} rows", path.display()));
     }
     Ok(say(&report.losses, reporter))
 }

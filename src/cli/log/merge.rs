@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::outcome::{counted, say};
 use crate::reporter::Reporter;
-use crate::session::logbook::{LogbookError, merge};
+use crate::session::logbook::{LogbookError, MergeReport, merge};
 
 /// Join the logs of one session that was recorded in pieces, in order of time.
 #[derive(Clone, Debug, clap::Args)]
@@ -19,6 +19,9 @@ pub struct MergeArgs {
     /// The new log.
     #[arg(long, value_name = "NEW.mcap")]
     pub out: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Joins and says what was joined.
@@ -27,6 +30,16 @@ pub struct MergeArgs {
 /// When a log cannot be read, they do not belong together, or the new one cannot be written.
 pub fn run(args: &MergeArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let report = merge(&args.logs, &args.out, reporter)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
+    } else {
+        tell(&report);
+    }
+    report.notes.iter().for_each(|note| reporter.note(format!("note: {note}")));
+    Ok(say(&report.losses, reporter))
+}
+
+fn tell(report: &MergeReport) {
     println!("{}: {} messages of {}", report.path.display(), report.messages, counted(report.logs.len(), "log"));
     let mut end_us: Option<i64> = None;
     for log in &report.logs {
@@ -41,6 +54,4 @@ pub fn run(args: &MergeArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
         println!("  {path}: {length_s:.3} s{}, {frames}{numbers}", after.unwrap_or_default());
         end_us = Some(log.end_us);
     }
-    report.notes.iter().for_each(|note| reporter.note(format!("note: {note}")));
-    Ok(say(&report.losses, reporter))
 }

@@ -22,6 +22,9 @@ pub struct RedactArgs {
     /// The new log.
     #[arg(long, value_name = "NEW.mcap")]
     pub out: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Redacts and says what was taken out.
@@ -30,6 +33,10 @@ pub struct RedactArgs {
 /// When the log cannot be read or the new one cannot be written.
 pub fn run(args: &RedactArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let report = redact(&args.log, RedactOptions { no_pixels: args.no_pixels }, &args.out, reporter)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
+        return Ok(say(&report.losses, reporter));
+    }
     println!("{}: {} messages", report.path.display(), report.messages);
     println!(
         "taken out: {}, {}, {}, what devices say of themselves in {}, pixels of {}",

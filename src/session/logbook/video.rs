@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::LogbookError;
-use crate::image::{NewFile, VideoFile, read_png_rgb, sync_folder};
+use crate::image::{NewFile, UNNAMED, VideoFile, read_png_rgb, sync_folder, temporary_file};
 use crate::regular;
 use crate::report::PairsFile;
 use crate::reporter::Reporter;
@@ -71,8 +71,8 @@ pub fn write_video(log: &Path, out: &Path, pace: Pace, reporter: &Reporter) -> R
     NewFile::refuse_existing(out)
         .map_err(|_| failed(out, "exists already, and is not written over; choose another --out".to_owned()))?;
     let out_folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let made = tempfile::Builder::new().prefix(".sidecarm-").suffix(".avi").tempfile_in(out_folder);
-    let temporary = made.map_err(|source| LogbookError::Out { path: out.to_owned(), source })?.into_temp_path();
+    let made = temporary_file(out_folder, UNNAMED, ".avi");
+    let (_, temporary) = made.map_err(|source| LogbookError::Out { path: out.to_owned(), source })?.into_parts();
     let mut video = VideoFile::create(&temporary, size_px, PER_S).map_err(|detail| failed(out, detail))?;
     let (bar, mut pictures) = (reporter.progress("pairs", shown.len() as u64), 0u32);
     for (index, (time_us, strip)) in shown.iter().enumerate() {
@@ -87,7 +87,8 @@ pub fn write_video(log: &Path, out: &Path, pace: Pace, reporter: &Reporter) -> R
         bar.advance(1);
     }
     video.finish().map_err(|detail| failed(out, detail))?;
-    temporary.persist_noclobber(out).map_err(|error| LogbookError::Out { path: out.to_owned(), source: error.error })?;
+    let named = temporary.end_with(|temporary| temporary.persist_noclobber(out).map_err(|error| error.error));
+    named.map_err(|source| LogbookError::Out { path: out.to_owned(), source })?;
     sync_folder(out);
     Ok(VideoReport { path: out.to_owned(), pairs: shown.len(), without_strip, seconds: f64::from(pictures) / PER_S })
 }

@@ -46,9 +46,9 @@ fn ended(mut check: Running) -> (String, Option<i32>) {
 #[test]
 fn a_check_that_gives_up_leaves_no_temporary_files() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (mut command, temporary) = hanging(folder.path(), "6");
+    let (mut command, temporary) = hanging(folder.path(), "3");
     let (said, _) = ended(at_work(&mut command, &temporary));
-    assert!(said.contains("pass  session file") && said.contains("not all checks were done within 6 s"), "{said}");
+    assert!(said.contains("pass  session file") && said.contains("not all checks were done within 3 s"), "{said}");
     assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
 }
 

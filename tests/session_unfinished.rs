@@ -227,6 +227,7 @@ fn a_file_that_is_written_anew_for_the_same_exposure_replaces_its_picture() {
         let mut values = object.element(tags::PIXEL_DATA).expect("pixels").to_multi_int::<u16>().expect("words");
         values[0] = first;
         object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+        object.put(DataElement::new(tags::ACQUISITION_DATE, VR::DA, PrimitiveValue::from("20261121")));
         object.put(DataElement::new(tags::ACQUISITION_TIME, VR::TM, PrimitiveValue::from(time)));
         let whole = folder.path().join("whole.dcm");
         object.write_to_file(&whole).expect("written");

@@ -44,8 +44,8 @@ pub(super) fn dead_lines(pixels: &Image<f32>, usable: &Image<bool>, floor: f64) 
         for line in 0..count {
             for lines_wide in 1..=WIDEST {
                 for sign in [-1.0, 1.0] {
-                    let is_hit = |part: &usize| parts[*part][line][lines_wide - 1] * sign > 0.0;
-                    let hits: Vec<usize> = (0..PARTS).filter(is_hit).collect();
+                    let is_hit = |part: &Vec<[f64; WIDEST]>| part[line][lines_wide - 1] * sign > 0.0;
+                    let hits: Vec<usize> = (0..).zip(&parts).filter(|(_, part)| is_hit(part)).map(|(part, _)| part).collect();
                     let (Some(first), Some(last)) = (hits.first(), hits.last()) else { continue };
                     if hits.len() < FEWEST_PARTS {
                         continue;

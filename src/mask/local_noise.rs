@@ -70,7 +70,7 @@ impl LocalNoise {
         }
         samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let range = f64::from(samples[samples.len() - 1][0] - samples[0][0]);
-        let step = if samples.iter().all(|sample| sample[2].fract() == 0.0) { 1.0 } else { 0.0 };
+        let step: f64 = if samples.iter().all(|sample| sample[2].fract() == 0.0) { 1.0 } else { 0.0 };
         let floor = (0.5 * step).max(1e-5 * range);
         let (mut values, mut sigmas) = (Vec::new(), Vec::new());
         for bin in samples.chunks(samples.len().div_ceil(BINS)) {

@@ -124,9 +124,10 @@ pub(super) fn of_no_exposure(all_shown: bool, untied: Untied) -> Option<String> 
 /// it says when the beam is on.
 pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize, heard: bool) -> Option<String> {
     if exposures == 0 && unbound > 0 && heard {
+        let came = if unbound == 1 { "a frame".to_owned() } else { format!("{unbound} frames") };
         return Some(format!(
-            "{unbound} frames came, and the C-arm's telemetry told of no exposure: their pairs have no joints, robot or beam of telemetry; check \
-             its X-ray flag and exposure counter"
+            "{came} came, and the C-arm's telemetry told of no exposure: no pair has joints, robot or beam of telemetry; check its \
+             X-ray flag and exposure counter"
         ));
     }
     if exposures > 0 && unbound == 0 && bound == 0 {

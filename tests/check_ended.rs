@@ -52,6 +52,19 @@ fn a_check_that_gives_up_leaves_no_temporary_files() {
     assert_eq!(listed(&temporary), Vec::<PathBuf>::new(), "{said}");
 }
 
+/// Whoever logged out ended what was to go on without a terminal.
+#[test]
+fn a_check_under_nohup_hears_nothing_of_its_terminal_s_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (command, temporary) = hanging(folder.path(), "3");
+    let mut under = Command::new("sh");
+    under.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]).arg(command.get_program()).args(command.get_args());
+    let check = at_work(under.env("TMPDIR", &temporary), &temporary);
+    check.signal(Signal::HUP);
+    let (said, _) = ended(check);
+    assert!(said.contains("not all checks were done within 3 s"), "{said}");
+}
+
 /// Ctrl-C killed it where it was, and its temporary folder was left.
 #[test]
 fn ctrl_c_ends_a_check_with_what_it_found_and_without_temporary_files() {

@@ -48,7 +48,9 @@ fn a_robot_that_falls_silent_is_told_for_as_long_as_it_is() {
     let after = statuses(&told[from..]);
     let (last, silent) = after.split_last().expect("statuses");
     assert_eq!((last.0, silent.len() >= 3), (19, true), "{after:?}");
-    let of_robot = |(code, words): &(u16, String)| *code == 2 && words.contains("the robot is not heard any more");
+    let of_robot = |(code, words): &(u16, String)| {
+        *code == 2 && words.contains("the robot is not heard any more") && !words.contains("the C-arm is not heard")
+    };
     assert!(silent.iter().all(of_robot), "{after:?}");
     let tips = told[from..].iter().filter(|told| told.device == "TipToLps").count();
     assert_eq!(tips, 0, "of a robot that says nothing");

@@ -109,6 +109,60 @@ fn pixels_that_do_not_answer_are_found_without_a_calibration() {
     }
 }
 
+/// Beads from a pixel's radius on keep their shadows, and wires as thin, unless they run along a row from side to side.
+#[test]
+fn thin_shadows_are_no_dead_pixels() {
+    let [width, height] = SIZE;
+    let (mut all, mut hit) = (0, 0);
+    for (radius_px, seed) in [(1.2, 11), (1.2, 12), (1.5, 13), (1.5, 14)] {
+        let shade = shade(width, height, &beads(radius_px), 0.4);
+        let clean = exposed(SIZE, 1000.0, seed, |x| *shade.at(x.x as usize, x.y as usize));
+        let found = dead(&clean, Domain::Linear);
+        let is_hit = |bead: &Sphere| {
+            let near =
+                |at: usize| DVec2::new((at % width) as f64, (at / width) as f64).distance(DVec2::new(bead.u_px, bead.v_px)) < 3.0;
+            (0..found.pixels.len()).any(|at| found.pixels[at] && near(at))
+        };
+        all += beads(radius_px).len();
+        hit += beads(radius_px).iter().filter(|bead| is_hit(bead)).count();
+    }
+    assert!(all == 80 && hit <= 2, "{hit} of {all}");
+    for slope in [0.0, 0.002, 0.02] {
+        // A thin wire that ends within the frame.
+        let wire = |x: DVec2| {
+            let off_px = x.y - 256.3 - slope * x.x;
+            let is_there = (100.0..540.0).contains(&x.x);
+            if is_there { 1.0 - 0.4 * (-0.5 * (off_px / 0.6).powi(2)).exp() } else { 1.0 }
+        };
+        let clean = exposed(SIZE, 3000.0, 15, wire);
+        assert_eq!(count(&dead(&clean, Domain::Linear)), 0, "slope {slope}");
+    }
+}
+
+/// Air at the end of the scale, columns that are read out in turns, a grid's lines and values in steps have dead pixels as other frames have.
+#[test]
+fn what_a_panel_does_to_all_pixels_hides_no_dead_ones_and_makes_none() {
+    type Spoil = fn(usize, f32) -> f32;
+    let spoils: [(&str, Spoil); 4] = [
+        ("air at the end of the scale", |_, value| value.min(1890.0).round()),
+        ("read out in turns", |column, value| value * (1.0 + 0.02 * (column % 2) as f32)),
+        ("a grid", |column, value| value * (1.0 + 0.04 * (column as f32 * 1.46).sin())),
+        ("steps", |_, value| (value / 200.0).round() / 4095.0),
+    ];
+    for (what, spoil) in spoils {
+        let of = |pixels: &Image<f32>| {
+            let value = |(at, value): (usize, &f32)| spoil(at % pixels.width, *value);
+            Image { pixels: pixels.pixels.iter().enumerate().map(value).collect(), ..*pixels }
+        };
+        let clean = drawn(2000.0, 6.2, 3);
+        let (spoilt, truth) = killed(&clean, 6.2);
+        assert!(count(&dead(&of(&clean), Domain::Linear)) <= 2, "{what}: {} of none", count(&dead(&of(&clean), Domain::Linear)));
+        let found = dead(&of(&spoilt), Domain::Linear);
+        let right = found.pixels.iter().zip(&truth.pixels).filter(|(found, truth)| **found && **truth).count();
+        assert!(2 * right >= count(&truth), "{what}: {right} of {}", count(&truth));
+    }
+}
+
 /// Beads of two pixels, wires, bones and the tails of six quanta are none, nor is anything that a console has smoothed.
 #[test]
 fn what_stands_before_the_panel_is_no_dead_pixel() {

@@ -255,7 +255,7 @@ fn a_clock_that_counts_another_unit_or_runs_fast_is_told_by_its_rate() {
         (1e-3, Some("milliseconds"), 6),
         (1e3, Some("nanoseconds"), 6),
         (10.0, Some("units of 100 ns"), 6),
-        (1.06, None, 13),
+        (1.06, None, 65),
         (0.94, None, 13),
         (1.004, None, 110),
     ] {
@@ -266,7 +266,7 @@ fn a_clock_that_counts_another_unit_or_runs_fast_is_told_by_its_rate() {
         let (told, found) = told_rate(&of_rate).unwrap_or_else(|| panic!("nothing is told of a rate of {rate}"));
         assert!((found / rate - 1.0).abs() < 0.01 && told < 100 * within_s, "{rate}: {found} after {told} samples");
         assert_eq!(unit_of_clock(found), unit, "{rate}");
-        // Of the second opening of its port the same is told, and what had waited in front of it changes nothing.
+        // What had waited in front of its port changes nothing.
         let mut waited = of_rate.clone();
         let release_us = waited[60].1;
         waited[..60].iter_mut().for_each(|stamp| stamp.1 = release_us);
@@ -283,10 +283,11 @@ fn crystals_backlogs_pauses_and_halts_are_no_wrong_rate() {
     let late = |late_us: &dyn Fn(i64) -> i64| -> Vec<(i64, i64)> {
         even.iter().enumerate().map(|(i, (device, host, _))| (*device, host + late_us(i as i64))).collect()
     };
-    let cases: [(&str, Vec<(i64, i64)>); 7] = [
+    let cases: [(&str, Vec<(i64, i64)>); 8] = [
         ("200 ppm", late(&|_| 0)),
         // What had waited in front of the port comes at once; two and a half seconds are worked off later, a tenth faster than it is sent.
         ("waited", late(&|i| (900_000 - 10_000 * i).max(0))),
+        ("waited and worked off", late(&|i| (2_500_000 - 1_000 * i).max(0))),
         ("worked off", late(&|i| if i < 2_000 { 0 } else { (2_500_000 - 1_000 * (i - 2_000)).max(0) })),
         ("halted", late(&|i| if i < 1_500 { 0 } else { 200_000 })),
         ("stalls", late(&|i| if i % 700 < 60 { 600_000 - 10_000 * (i % 700) } else { 0 })),

@@ -10,7 +10,7 @@ use super::domain::{Traces, judge};
 use super::padding::Padding;
 use super::tag_reader::TagReader;
 use super::terms::is_term;
-use super::{Domain, Fault, Raw, extent, whole};
+use super::{Domain, Fault, LOSSY_PIXELS, Raw, extent, whole};
 use crate::foreign::Limits;
 use crate::image::Image;
 
@@ -73,7 +73,7 @@ fn each(
     let verdict = judge(&frame_tags, traces, mapping.decreasing(), declared);
     notes.extend(verdict.notes);
     if traces.lossy {
-        altered.push("the pixels passed through lossy compression".to_owned());
+        altered.push(LOSSY_PIXELS.to_owned());
     }
     if frame_tags.pitch_mm.is_none() && frame_tags.pixel_spacing_mm.is_some() {
         notes.push(

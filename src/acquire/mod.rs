@@ -124,6 +124,17 @@ pub struct Frame {
     pub correction: Option<Correction>,
 }
 
+/// What is said of pixels that lossy compression has changed.
+pub(crate) const LOSSY_PIXELS: &str = "the pixels passed through lossy compression";
+
+impl Frame {
+    /// Whether lossy compression has changed the pixels: the noise of one then tells of the next.
+    #[must_use]
+    pub fn is_lossy(&self) -> bool {
+        self.altered.iter().any(|words| words == LOSSY_PIXELS)
+    }
+}
+
 /// Pixels that lie at an end of the scale, where detail is lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Clipping {

@@ -208,6 +208,9 @@ pub struct FrameTags {
     pub window: Option<[f64; 2]>,
 }
 
+/// The largest that were built have 16 inches; what is larger is the diagonal of a panel.
+const LARGEST_INTENSIFIER_MM: f64 = 420.0;
+
 impl FrameTags {
     /// Whether they say anything of which exposure the frame is of.
     #[must_use]
@@ -233,8 +236,9 @@ impl FrameTags {
             None => {}
         }
         let is_panel = matches!(self.detector_type.as_deref(), Some("DIRECT" | "SCINTILLATOR" | "STORAGE"))
-            || self.field_of_view_shape.as_deref() == Some("RECTANGLE");
-        let size_mm = self.intensifier_mm.filter(|_| !is_panel)?;
+            || self.field_of_view_shape.as_deref() == Some("RECTANGLE")
+            || self.field_of_view_mm.is_some_and(|[across, down]| across != down);
+        let size_mm = self.intensifier_mm.filter(|size_mm| !is_panel && *size_mm <= LARGEST_INTENSIFIER_MM)?;
         Some(format!("intensifier size (0018,1162) is {size_mm} mm"))
     }
 
@@ -296,6 +300,8 @@ mod tests {
         assert!(typed.names_intensifier().is_some_and(|words| words.contains("(0018,9420)")));
         for panel in [
             FrameTags::default(),
+            FrameTags { intensifier_mm: Some(480.0), ..FrameTags::default() },
+            FrameTags { field_of_view_mm: Some([300.0, 200.0]), ..sized.clone() },
             FrameTags { receptor: text("DIGITAL_DETECTOR"), ..sized.clone() },
             FrameTags { detector_type: text("SCINTILLATOR"), ..sized.clone() },
             FrameTags { field_of_view_shape: text("RECTANGLE"), ..sized.clone() },

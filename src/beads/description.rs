@@ -60,6 +60,11 @@ fn misspelt(description: &str) -> Vec<Misspelt<'_>> {
         if sign == "=" && !is_apart && WORDS.iter().any(|(known, _)| *known == key) {
             continue;
         }
+        // A colon stands behind any word of a sentence: a key is the first of its part, or stands behind another key's value.
+        let is_first = || description.split([';', ',']).any(|part| part.trim_start().starts_with(word));
+        if sign == ":" && !(n == 0 || words[n - 1].contains('=') || is_first()) {
+            continue;
+        }
         let Some(meant) = WORDS.iter().position(|(known, _)| is_meant(known, key, sign, value)) else { continue };
         let is_said = self::value(description, WORDS[meant].0).is_some() || all.iter().any(|other| other.meant == meant);
         if !is_said {
@@ -81,7 +86,7 @@ fn is_meant(known: &str, key: &str, sign: &str, value: &str) -> bool {
         }
         // So short that many words are near: with a colon they are those of a sentence.
         None => {
-            let is_near = own == of_known || (sign == "=" && own.len() > 3 && edit_distance(&own, &of_known) <= 1);
+            let is_near = own == of_known || (sign == "=" && own.len() > 4 && edit_distance(&own, &of_known) <= 1);
             is_near && !value.is_empty() && (known != "role" || edit_distance(&letters(value), "check") <= 1)
         }
     }
@@ -176,6 +181,9 @@ mod tests {
             "radius 0.75 or so, the role of this one is to check",
             "roll: 3, hole=2 mm, note=deep, side: left, radiology: none",
             "near the radius: distal end",
+            "distal radius: 2 cm from the joint",
+            "press-fit into the body: steel",
+            "bony=yes",
             // What is meant is read beside it.
             "radius: 0.75, radius_mm=0.75",
             "https://example.org/body?role=check",

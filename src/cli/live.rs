@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::signals::{REMOVED_WITHIN, on_signals};
+use super::signals::{REMOVED_WITHIN, left, on_signals};
 use crate::image::remove_temporaries;
 use crate::reporter::{Reporter, to_stdout};
 use crate::session::board::Board;
@@ -124,7 +124,7 @@ fn leave_in_any_case(reporter: &Reporter) {
 }
 
 fn leave_now(reporter: &Reporter) -> ! {
-    remove_temporaries(REMOVED_WITHIN);
+    left(&remove_temporaries(REMOVED_WITHIN)).into_iter().for_each(|words| reporter.note(words));
     reporter.note("left without a report: `sidecarm replay` makes it from the log");
     std::process::exit(3);
 }

@@ -7,6 +7,9 @@ use crate::acquire::CollimatorTags;
 use crate::mask::Masks;
 use crate::pose::{BeadResidual, Pose, Shadow, Told, intrinsics_of};
 
+/// What becomes of edges that a header states.
+const LOOKED_AT: &str = "masked where the picture shows them";
+
 /// What the frame's header, and the picture, say of numbers that a pose may rest on; `intrinsics` is the file that K was read from.
 pub(super) fn told(intrinsics: Option<&Path>, seen: &Seen, masks: &Masks) -> Vec<Told> {
     let tags = &seen.frame.tags;
@@ -31,10 +34,10 @@ pub(super) fn told(intrinsics: Option<&Path>, seen: &Seen, masks: &Masks) -> Vec
         None => say("open field by the picture", "no edge of one".to_owned(), true, "beads are sought everywhere".to_owned()),
     }
     if let Some(collimator) = &tags.collimator {
-        say("open field by the header", words_of(collimator), false, "the picture's own edges count".to_owned());
+        say("open field by the header", words_of(collimator), true, LOOKED_AT.to_owned());
     }
     if let Some(shutter) = &tags.display_shutter {
-        say("display shutter by the header", words_of(shutter), false, "the picture's own edges count".to_owned());
+        say("display shutter by the header", words_of(shutter), true, LOOKED_AT.to_owned());
     }
     if let (Some(primary), Some(secondary)) = (tags.primary_deg, tags.secondary_deg) {
         let why = "they do not say where the specimen lies; --prior says where the pose is expected";
@@ -130,8 +133,8 @@ mod tests {
             "K by the header: SID 1000 mm over a pitch of 0.2 x 0.2 mm is a focal length of 5000.0 px; not used: that of k.json counts, \
              5250.0 px, which is +5.0 % from it",
             "open field by the picture: no edge of one; beads are sought everywhere",
-            "open field by the header: edges at 1, 2, 60, 40 px; not used: the picture's own edges count",
-            "display shutter by the header: polygon of 3 corners; not used",
+            "open field by the header: edges at 1, 2, 60, 40 px; masked where the picture shows them",
+            "display shutter by the header: polygon of 3 corners; masked where the picture shows them",
             "positioner angles by the header: 30°, -5°; not used",
             "tube voltage by the header: 80 kVp; not used: P does not depend on it",
         ] {

@@ -1,5 +1,7 @@
 //! Signals that end a program: Ctrl-C, SIGTERM and SIGHUP.
 
+use std::path::PathBuf;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::time::Duration;
@@ -8,10 +10,10 @@ use crate::image::remove_temporaries;
 use crate::reporter::Reporter;
 
 /// Files that were not whole are gone by then, or are told.
-pub(super) const REMOVED_WITHIN: Duration = Duration::from_millis(80);
+pub(super) const REMOVED_WITHIN: Duration = Duration::from_millis(500);
 /// A program whose libraries do not come to their end, or whose words nobody takes, is ended without them.
 #[cfg(unix)]
-const ENDED_WITHIN: Duration = Duration::from_secs(1);
+const ENDED_WITHIN: Duration = Duration::from_secs(5);
 
 /// The command at hand ends in its own way, as the check at the end of `session new` does.
 static IS_HEARD: AtomicBool = AtomicBool::new(false);
@@ -37,18 +39,39 @@ impl Signal {
             Self::Hangup => (1, "SIGHUP"),
         }
     }
+
+    /// Whoever started the program had it ignore the signal.
+    fn was_ignored(self) -> bool {
+        let (number, _) = self.described();
+        IGNORED.get_or_init(ignored) & (1u64 << (number - 1)) != 0
+    }
+
+    /// A program that is to outlive its terminal, as by `nohup`, hears nothing of the terminal's end. Ctrl-C it hears all the same: a script's
+    /// background has every command ignore that.
+    fn is_heard(self) -> bool {
+        #[cfg(unix)]
+        return self != Self::Hangup || !self.was_ignored();
+        #[cfg(not(unix))]
+        return true;
+    }
 }
 
 /// Ends the program at one of them, and leaves nothing that is not whole: for every command that has no end of its own. What was ignored when the
 /// program started, as by `nohup`, stays ignored.
 pub(super) fn end_on_signals(reporter: &Reporter) {
-    let (ignored, reporter) = (ignored(), reporter.clone());
+    let reporter = reporter.clone();
     listen(move |signal| {
-        let (number, name) = signal.described();
-        if ignored & (1u64 << (number - 1)) == 0 && !IS_HEARD.load(Ordering::Relaxed) {
+        if !signal.was_ignored() && !IS_HEARD.load(Ordering::Relaxed) {
+            let (number, name) = signal.described();
             end(number, name, &reporter);
         }
     });
+}
+
+/// What could not be removed, for people; `None` where all was.
+pub(super) fn left(paths: &[PathBuf]) -> Option<String> {
+    let names: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+    (!names.is_empty()).then(|| format!("left half-written, remove it: {}", names.join(", ")))
 }
 
 fn end(number: u8, name: &str, reporter: &Reporter) -> ! {
@@ -57,12 +80,16 @@ fn end(number: u8, name: &str, reporter: &Reporter) -> ! {
         std::thread::sleep(ENDED_WITHIN);
         let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
     });
-    match remove_temporaries(REMOVED_WITHIN).first() {
-        None => reporter.note(format!("sidecarm: ended by {name}; nothing half-written is left")),
-        Some(path) => reporter.note(format!("sidecarm: ended by {name}; {} is left half-written, remove it", path.display())),
-    }
+    let left = left(&remove_temporaries(REMOVED_WITHIN)).unwrap_or_else(|| "nothing half-written is left".to_owned());
+    reporter.note(format!("sidecarm: ended by {name}; {left}"));
+    // Of the signal itself, so that a shell ends the loop in which it runs the program.
+    #[cfg(unix)]
+    let _ = signal_hook::low_level::emulate_default_handler(i32::from(number));
     std::process::exit(128 + i32::from(number))
 }
+
+/// What was to be ignored when the program started.
+static IGNORED: OnceLock<u64> = OnceLock::new();
 
 /// A bit for each signal that whoever started the program had it ignore.
 #[cfg(target_os = "linux")]
@@ -81,6 +108,11 @@ fn ignored() -> u64 {
 /// Calls `act` at each of them, on a thread of its own, in place of what the system or [`end_on_signals`] would do. Holds from its return on; where
 /// the system gives no such thread, all stays as it was.
 pub(super) fn on_signals(act: impl Fn(Signal) + Send + 'static) {
+    let act = move |signal: Signal| {
+        if signal.is_heard() {
+            act(signal);
+        }
+    };
     if listen(act) {
         IS_HEARD.store(true, Ordering::Relaxed);
     }
@@ -88,6 +120,8 @@ pub(super) fn on_signals(act: impl Fn(Signal) + Send + 'static) {
 
 /// Whether it hears them.
 fn listen(act: impl Fn(Signal) + Send + 'static) -> bool {
+    // Before the first handler takes its place.
+    IGNORED.get_or_init(ignored);
     let (sender, installed) = channel();
     std::thread::spawn(move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };

@@ -9,7 +9,7 @@ use std::sync::mpsc::channel;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tempfile::{Builder, NamedTempFile, TempDir, TempPath};
+use tempfile::{Builder, NamedTempFile, TempPath};
 
 use crate::time::Stopwatch;
 
@@ -136,10 +136,40 @@ fn new_file(path: &Path) -> Result<File> {
 ///
 /// # Errors
 /// When `within` is missing or not writable.
-pub fn temporary_folder(within: &Path) -> Result<Temporary<TempDir>> {
-    let made = tempfile::tempdir_in(within)?;
-    let path = KnownPath::of(made.path());
-    Ok(Temporary { made, path })
+pub fn temporary_folder(within: &Path) -> Result<Temporary<TemporaryFolder>> {
+    let make = |path: &Path| -> Result<KnownPath> {
+        let known = KnownPath::of(path);
+        new_folder(path)?;
+        Ok(known)
+    };
+    let (path, made) = Builder::new().make_in(within, make)?.into_parts();
+    Ok(Temporary { made: TemporaryFolder(made.keep().map_err(|error| error.error)?), path })
+}
+
+fn new_folder(path: &Path) -> Result<()> {
+    #[cfg_attr(not(unix), expect(unused_mut))]
+    let mut builder = std::fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(path)
+}
+
+/// A folder that is removed, with all that is in it, when this is dropped.
+#[derive(Debug)]
+pub struct TemporaryFolder(PathBuf);
+
+impl TemporaryFolder {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for TemporaryFolder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
 }
 
 /// Removes whatever is there for the time being, for whoever then ends the program: from now on no other temporary is made, and what a thread made of

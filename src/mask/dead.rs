@@ -2,7 +2,8 @@
 //!
 //! What stands before the panel is spread over several pixels by its point spread; a pixel that does not answer differs from all around it
 //! alone. So a pixel counts that differs from its surroundings by more than noise ever does in a frame, in a cluster of no more than
-//! three by three, beside which nothing is left of the difference. Edges, beads and wires, however sharp, are seen by their neighbours too.
+//! three by three, beside which nothing is left of the difference. Edges, beads of a pixel's radius and more and wires of two pixels and more are
+//! seen by their neighbours too; a line as thin that runs along a row from side to side may be taken for one of the panel's.
 
 use rayon::prelude::*;
 
@@ -13,7 +14,7 @@ use crate::image::Image;
 
 /// Smaller frames are not looked at.
 const SMALLEST_PX: usize = 64;
-/// Pixels that noise may take out of a frame.
+/// Pixels that noise may take out of a frame, where that of one pixel says nothing of the next.
 const FALSE_A_FRAME: f64 = 0.3;
 /// Before a ring's median is taken a pixel must differ by so many σ from four of its pixels.
 const WORTH_A_LOOK: f64 = 3.5;
@@ -26,6 +27,10 @@ const SKIRT_PX: usize = 3;
 const LEFT_BESIDE: f64 = 0.3;
 const SIGMAS_BESIDE: f64 = 4.5;
 const MEAN_BESIDE: f64 = 0.2;
+/// Several that are too dark may be a bead's shadow: dead ones are as dark to this share, and beside them less is left.
+const AS_DARK: f64 = 0.8;
+const LEFT_BESIDE_DARK: f64 = 0.15;
+const MEAN_BESIDE_DARK: f64 = 0.1;
 /// Points and dots of letters lie this near to them.
 const NEAR_WRITING_PX: usize = 8;
 /// A frame of which more is dead is another kind of picture.
@@ -39,7 +44,15 @@ pub(super) fn dead_pixels(pixels: &Image<f32>, usable: &Image<bool>, written: Op
         return None;
     }
     let noise = LocalNoise::measure(pixels, usable)?;
+    let is_most = |mask: &Image<bool>| {
+        let count = mask.pixels.iter().filter(|dead| **dead).count();
+        count as f64 > MOST_DEAD * mask.pixels.len() as f64
+    };
     let mut dead = dead_lines(pixels, usable, noise.floor);
+    // A grid's lines, or those of a readout.
+    if is_most(&dead) {
+        dead.pixels.fill(false);
+    }
     let outliers = outliers(pixels, usable, &noise);
     for cluster in components(&outliers) {
         let is_beside_writing = written.is_some_and(|written| any_near(written, &cluster, NEAR_WRITING_PX));
@@ -47,8 +60,7 @@ pub(super) fn dead_pixels(pixels: &Image<f32>, usable: &Image<bool>, written: Op
             cluster.indices.iter().for_each(|&at| dead.pixels[at] = true);
         }
     }
-    let count = dead.pixels.iter().filter(|dead| **dead).count();
-    (count > 0 && count as f64 <= MOST_DEAD * dead.pixels.len() as f64).then_some(dead)
+    (dead.pixels.contains(&true) && !is_most(&dead)).then_some(dead)
 }
 
 /// Pixels that differ from their surroundings by more than noise does.
@@ -130,9 +142,14 @@ fn stands_alone(pixels: &Image<f32>, outliers: &Image<bool>, cluster: &Component
     let own = || cluster.indices.iter().map(move |&at| f64::from(pixels.pixels[at]) - level);
     let largest = own().fold(0.0f64, |largest, other| if other.abs() > largest.abs() { other } else { largest });
     let least = own().map(f64::abs).fold(f64::INFINITY, f64::min);
-    let room = (LEFT_BESIDE * least).max(SIGMAS_BESIDE * noise.sigma(level));
+    let may_be_bead = largest < 0.0 && cluster.indices.len() > 1;
+    if may_be_bead && !(least >= AS_DARK * largest.abs()) {
+        return false;
+    }
+    let [left_beside, mean_beside] = if may_be_bead { [LEFT_BESIDE_DARK, MEAN_BESIDE_DARK] } else { [LEFT_BESIDE, MEAN_BESIDE] };
+    let room = (left_beside * least).max(SIGMAS_BESIDE * noise.sigma(level));
     let mut off: Vec<f64> = far.iter().map(|value| (value - level).abs()).collect();
     off.sort_unstable_by(f64::total_cmp);
     let mean = beside.iter().map(|value| (value - level) * largest.signum()).sum::<f64>() / beside.len() as f64;
-    off[3 * off.len() / 4] <= room && beside.iter().all(|value| (value - level).abs() <= room) && mean <= MEAN_BESIDE * least
+    off[3 * off.len() / 4] <= room && beside.iter().all(|value| (value - level).abs() <= room) && mean <= mean_beside * least
 }

@@ -46,12 +46,16 @@ pub(super) fn dead_lines(pixels: &Image<f32>, usable: &Image<bool>, floor: f64) 
                 for sign in [-1.0, 1.0] {
                     let is_hit = |part: &Vec<[f64; WIDEST]>| part[line][lines_wide - 1] * sign > 0.0;
                     let hits: Vec<usize> = (0..).zip(&parts).filter(|(_, part)| is_hit(part)).map(|(part, _)| part).collect();
-                    let (Some(first), Some(last)) = (hits.first(), hits.last()) else { continue };
-                    if hits.len() < FEWEST_PARTS {
-                        continue;
-                    }
-                    for along in lines.part(*first).start..lines.part(*last).end {
-                        (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
+                    for run in hits.chunk_by(|part, next| next - part <= 2) {
+                        let (first, last) = (run[0], run[run.len() - 1]);
+                        // A readout lacks lines from its edge on; what is dark in the middle of a frame may be a thin wire.
+                        let is_whole = sign > 0.0 || first == 0 || last == PARTS - 1;
+                        if run.len() < FEWEST_PARTS || !is_whole {
+                            continue;
+                        }
+                        for along in lines.part(first).start..lines.part(last).end {
+                            (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
+                        }
                     }
                 }
             }
@@ -110,7 +114,8 @@ impl Lines<'_> {
             return None;
         }
         let room = (LEFT_BESIDE * least).max(SIGMAS_BESIDE * OF_MEDIAN * sigma / (looks as f64).sqrt());
-        for other in [line - 1, line + lines_wide] {
+        // Those two away are of the same parity: columns that are read out in turns differ from their neighbours, and are not dead.
+        for other in [line - 2, line - 1, line + lines_wide, line + lines_wide + 1] {
             let (left, _) = median(&|along| value(other, along) - expected(along))?;
             if !(left.abs() <= room) {
                 return None;

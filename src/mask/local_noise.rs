@@ -9,8 +9,8 @@ const SAMPLES: f64 = 60_000.0;
 const BINS: usize = 24;
 /// Share of a bin's differences that counts: the largest are edges.
 const COUNTED: f64 = 0.98;
-/// σ over the mean size of a normal number, and some room for what is left out.
-const SIGMA_PER_MEAN: f64 = 1.3;
+/// σ over the mean size of a normal number of which the largest are left out.
+const SIGMA_PER_MEAN: f64 = 1.32;
 /// σ over the median size of a normal number.
 const SIGMA_PER_MEDIAN: f64 = 1.0 / 0.6745;
 /// A frame of fewer quanta a pixel has no tail that is known well enough.
@@ -70,7 +70,7 @@ impl LocalNoise {
         }
         samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let range = f64::from(samples[samples.len() - 1][0] - samples[0][0]);
-        let step: f64 = if samples.iter().all(|sample| sample[2].fract() == 0.0) { 1.0 } else { 0.0 };
+        let step = smallest_step(samples.iter().map(|sample| sample[2]).collect());
         let floor = (0.5 * step).max(1e-5 * range);
         let (mut values, mut sigmas) = (Vec::new(), Vec::new());
         for bin in samples.chunks(samples.len().div_ceil(BINS)) {
@@ -82,6 +82,9 @@ impl LocalNoise {
             values.push(bin.iter().map(|sample| f64::from(sample[0])).sum::<f64>() / bin.len() as f64);
             sigmas.push(of_mean.max(SIGMA_PER_MEDIAN * sizes[sizes.len() / 2]).max(floor));
         }
+        // Where values are cut off they scatter less than their noise.
+        let most = sigmas.iter().copied().fold(floor, f64::max);
+        sigmas.iter_mut().filter(|sigma| **sigma <= floor).for_each(|sigma| *sigma = most);
         let gain = most_gain(&values, &sigmas);
         sigmas.iter().all(|sigma| *sigma > 0.0).then_some(Self { values, sigmas, gain, floor })
     }
@@ -111,6 +114,14 @@ impl LocalNoise {
         let h = if x > 1e-3 { (1.0 + x) * x.ln_1p() - x } else { 0.5 * x * x };
         quanta >= FEWEST_QUANTA && quanta * h > rarity
     }
+}
+
+/// The smallest difference of two values.
+fn smallest_step(mut values: Vec<f32>) -> f64 {
+    values.sort_unstable_by(f32::total_cmp);
+    let steps = values.windows(2).map(|pair| f64::from(pair[1]) - f64::from(pair[0])).filter(|step| *step > 0.0);
+    let step = steps.fold(f64::INFINITY, f64::min);
+    if step.is_finite() { step } else { 0.0 }
 }
 
 /// What a quantum adds to a value, at most: from how the variance rises with the value, and as if there were no offset.

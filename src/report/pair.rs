@@ -376,9 +376,9 @@ impl Pair {
         (zncc < SEEN_ZNCC).then_some(("robot not seen", words))
     }
 
-    /// Takes back what was said of a picture that was not finished: `by` is the whole one, and has the exposure.
+    /// Takes back what was said of a picture whose file was written on or anew: `by` is the whole one, and has the exposure.
     pub fn replace_by(&mut self, by: u32) {
-        let reason = format!("the file was not finished when it was read: frame {by} is the whole picture");
+        let reason = format!("the file was written on, or anew, after it was read: frame {by} is the whole picture");
         self.status = PairStatus::Refused;
         self.reason = Some(reason.clone());
         self.binding = "none".to_owned();

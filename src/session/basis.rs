@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::posing::{PoseJob, Posed, Registered, Used};
+use super::posed::Posed;
+use super::posing::{PoseJob, Registered, Used};
 use super::shown::Shown;
 use super::tie::Disagreement;
 use crate::pose::{HandMark, Pose, Registration, register_edited};

@@ -25,7 +25,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use super::SessionError;
 use super::developed::Developed;
 use super::engine::Engine;
-use super::posing::Posed;
+use super::hearing::SILENT_US;
+use super::posed::Posed;
 use super::servers::IgtlServer;
 use super::whereabouts::Whereabouts;
 use crate::geometry::{RAS_FROM_LPS, Rigid};
@@ -40,9 +41,7 @@ use crate::timeline::{FreshLimits, Freshness};
 const DEVICE: &str = "Sidecarm";
 
 /// A device that said nothing for longer is not heard any more.
-const HEARD: FreshLimits = FreshLimits { stale_us: 1_000_000 };
-/// A device that has not said anything is not missed before.
-const BEGINS_US: i64 = 3_000_000;
+const HEARD: FreshLimits = FreshLimits { stale_us: SILENT_US };
 
 /// A device that is not heard, and whether it ever was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,13 +53,11 @@ struct Silent {
 impl Silent {
     fn words(self) -> String {
         let Self { device, ever } = self;
-        let stand = match device {
-            DeviceKind::Carm => "CameraToWorld stands",
-            DeviceKind::Robot => "BaseToLps, TipToLps and Tip stand",
-        };
         match ever {
             true => {
-                format!("the {device} is not heard any more, {stand} where it was then; check the device, its cable and port")
+                format!(
+                    "the {device} is not heard any more, and what was sent of it stands where it was then; check the device, its cable and port"
+                )
             }
             false => format!("nothing has come from the {device} yet; is it on, and is this its port?"),
         }
@@ -173,7 +170,7 @@ impl Broadcast {
     pub(super) fn look(&self, engine: &Engine, now_us: i64) {
         let Some(server) = &self.server else { return };
         let mut newest = self.newest();
-        let begun = now_us.saturating_sub(*newest.looked_us.get_or_insert(now_us)) > BEGINS_US;
+        let begun = now_us.saturating_sub(*newest.looked_us.get_or_insert(now_us)) > SILENT_US;
         let present = DeviceKind::ALL.into_iter().filter(|device| engine.health(*device).is_some());
         let silent: Vec<Silent> = present
             .filter_map(|device| match engine.timeline().freshness(device, now_us, HEARD) {
@@ -188,13 +185,20 @@ impl Broadcast {
         let before = std::mem::replace(&mut newest.silent, silent);
         let fallen = newest.silent.iter().filter(|silent| !before.contains(silent)).map(|silent| silent.words());
         let is_silent = |device: DeviceKind| newest.silent.iter().any(|silent| silent.device == device);
-        let back = before.iter().map(|before| before.device).filter(|device| !is_silent(*device));
-        let back = back.map(|device| format!("the {device} is heard again"));
+        let back = before.iter().filter(|before| !is_silent(before.device));
+        let back = back.map(|before| format!("the {} is heard{}", before.device, if before.ever { " again" } else { "" }));
         for words in fallen.chain(back) {
             server.send(Message { device: "Telemetry".to_owned(), time_us: now_us, content: Content::Text(words) });
         }
         let of_frame = newest.of_frame.clone();
         newest.tell(server, of_frame);
+    }
+
+    /// Another session begins: of its devices nothing is missed yet.
+    pub(super) fn begin_anew(&self) {
+        let mut newest = self.newest();
+        newest.looked_us = None;
+        newest.silent.clear();
     }
 
     /// A frame that was registered, and what the terminal says of it.

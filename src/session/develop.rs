@@ -9,7 +9,7 @@ use super::declared::Declared;
 use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
 use super::pair_view::PairView;
-use super::posing::Posed;
+use super::posed::Posed;
 use crate::beads::BeadLayout;
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};

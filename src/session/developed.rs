@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::pair_marks::marks_of;
 use super::pair_pictures::PairPictures;
 use super::pair_view::PairView;
-use super::posing::Posed;
+use super::posed::Posed;
 use super::remedy::remedy;
 use crate::compare::Compared;
 use crate::image::Image;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use super::basis::Basis;
 use super::edit::{BeadEdit, marks_of};
-use super::posing::Posed;
+use super::posed::Posed;
 use crate::pose::{HandMark, Refusal};
 use crate::time::{StageTimes, Stopwatch};
 

@@ -1,7 +1,8 @@
 //! What the session's own thread is told.
 
 use super::input::Input;
-use super::posing::{Posed, Registered};
+use super::posed::Posed;
+use super::posing::Registered;
 use crate::telemetry::DeviceKind;
 
 /// Which thread has ended, of those that hand things to the session's.

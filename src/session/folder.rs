@@ -345,7 +345,7 @@ impl Collector {
 
 #[cfg(test)]
 mod tests {
-    use super::super::posing::Posed;
+    use super::super::posed::Posed;
     use super::*;
     use crate::report::{PairStatus, PoseSource};
 

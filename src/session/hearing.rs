@@ -3,12 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use super::posing::Bound;
+use super::bound::Bound;
 use crate::telemetry::{DeviceKind, Health, Sample};
 use crate::timeline::unit_of_clock;
 
 /// A line from which nothing could be used for so long is silent, µs.
-const SILENT_US: i64 = 3_000_000;
+pub(super) const SILENT_US: i64 = 3_000_000;
 /// A clock that shows the same time for so long stands still, µs.
 const STILL_US: i64 = 1_000_000;
 /// A frame takes at most this long from its exposure into the folder when it is exported at once, µs.
@@ -206,7 +206,7 @@ impl Hearing {
             if let Some(rate) = line.rate {
                 let advance = advance(rate);
                 words.push(format!(
-                    "{device}: its clock advanced {advance} where 1 s passed; what it said has no time to rely on"
+                    "{device}: its clock advanced {advance} where 1 s passed; what it said meanwhile has no time to rely on"
                 ));
             }
         }
@@ -249,8 +249,8 @@ mod tests {
         assert_eq!(
             hearing.losses(1_000_000),
             [
-                "C-arm: its clock advanced 1.000 ms where 1 s passed; what it said has no time to rely on",
-                "robot: its clock advanced 1.060 s where 1 s passed; what it said has no time to rely on",
+                "C-arm: its clock advanced 1.000 ms where 1 s passed; what it said meanwhile has no time to rely on",
+                "robot: its clock advanced 1.060 s where 1 s passed; what it said meanwhile has no time to rely on",
             ]
         );
     }

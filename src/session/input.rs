@@ -5,7 +5,8 @@ use std::sync::Arc;
 use super::edit::BeadEdit;
 use super::editing::EditJob;
 use super::pictures::PictureDigest;
-use super::posing::{PoseJob, Posed};
+use super::posed::Posed;
+use super::posing::PoseJob;
 use crate::acquire::Frame;
 use crate::telemetry::{DeviceKind, Sample};
 

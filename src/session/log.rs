@@ -17,7 +17,7 @@ use super::file::Setup;
 use super::input::Input;
 use super::inputs::InputNames;
 use super::losses::Losses;
-use super::posing::Posed;
+use super::posed::Posed;
 use super::workshop::Workshop;
 use crate::record::{BeadMark, Level, Placed, Provenance, RecordError, Recorder, RecorderHealth, topic};
 use crate::render::Rendered;

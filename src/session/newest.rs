@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use super::bound::Bound;
 use super::crosscheck::{ExposureFacts, Finding, check_exposure};
 use super::file::Setup;
 use super::import::{Import, Imported};
 use super::newest_files::{Found, newest_files};
-use super::posing::{Bound, Known, PoseJob, Posed};
+use super::posed::Posed;
+use super::posing::{Known, PoseJob};
 use super::remedy::of_refusal;
 use crate::acquire::{Domain, Frame};
 use crate::beads::BeadLayout;

@@ -7,7 +7,7 @@
 //! the arm, so that the specimen rests in the room while the arm moves. A link that is not known is left out, and the tree falls into two.
 
 use super::log::SessionLog;
-use super::posing::Posed;
+use super::posed::Posed;
 use super::whereabouts::Whereabouts;
 use crate::geometry::Rigid;
 use crate::record::{ArmInRoom, Placed, placed_in_room};

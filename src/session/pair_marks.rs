@@ -1,6 +1,6 @@
 //! What is marked in the frame of a pair, by how it was posed.
 
-use super::posing::Posed;
+use super::posed::Posed;
 pub use crate::report::{BeadMark, LandmarkMark, PairMarks, RobotMark};
 use crate::scene::Scene;
 

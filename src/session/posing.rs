@@ -1,176 +1,23 @@
-//! From a bound frame to a posed one: what telemetry says about it, its registration, and which pose is used.
+//! From a bound frame to a posed one: its registration, and which pose is used.
 
 use std::sync::Arc;
 
-use super::edit::again;
+use super::bound::Bound;
 use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
-use super::robot_state::{BoundRobot, MAX_GAP_US, RobotState};
+use super::posed::Posed;
 use super::shown::Shown;
-use super::tie::Disagreement;
 use super::told_field::told_field;
-use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
-use crate::image::Image;
 use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
-use crate::telemetry::{CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
-use crate::timeline::{Binding, BindingFlag, Gap, Support, Timeline};
-
-/// A frame with everything known about when and where it was taken.
-#[derive(Clone, Debug)]
-pub struct Posed {
-    /// Counts frames of the session from 1, in order of arrival.
-    pub number: u32,
-    /// How often the frame was posed before: 0, or more where its exposure became clear only later, or where its beads were edited.
-    pub development: u32,
-    /// The frame.
-    pub frame: Arc<Frame>,
-    /// When in its exposure it was taken, or the arrival where it is not bound; host time.
-    pub time_us: i64,
-    /// Which exposure, and why.
-    pub binding: Binding,
-    /// What registration said.
-    pub pose: Pose,
-    /// Which of the frame's pixels mean nothing.
-    pub masks: Arc<Masks>,
-    /// What the import had to say about the frame.
-    pub warnings: Vec<String>,
-    /// What the image intensifier did to the frame; all places of the pose are those of the undistorted picture.
-    pub intensifier: Option<Arc<Intensifier>>,
-    /// Which pose is used.
-    pub pose_source: PoseSource,
-    /// The view to render; absent without a pose.
-    pub view: Option<View>,
-    /// The robot, when telemetry covers the exposure.
-    pub robot: Option<RobotState>,
-    /// C-arm joints at the exposure.
-    pub joints: Option<CarmJoints>,
-    /// Span of the C-arm samples that were interpolated.
-    pub carm_gap_us: Option<i64>,
-    /// Camera in the specimen by telemetry, as registration was given it as a prior.
-    pub nominal: Option<Rigid>,
-    /// The C-arm's sample nearest the middle of the exposure: beam, field, joints.
-    pub beam: Option<Box<CarmSample>>,
-    /// How far beads and telemetry are apart, where they contradict each other.
-    pub telemetry_disagreement: Option<Disagreement>,
-    /// Wall time of detection and pose.
-    pub stages: StageTimes,
-}
-
-impl Posed {
-    /// How people are told of the frame.
-    #[must_use]
-    pub fn label(&self) -> String {
-        let again = again(self.pose.edited.is_some(), self.development);
-        format!("frame {} ({}){again}", self.number, self.frame.name)
-    }
-
-    /// What became of its registration, in a line.
-    #[must_use]
-    pub fn announcement(&self) -> String {
-        let outcome = match &self.pose.reason {
-            Some(reason) if matches!(self.pose.refusal, Some(Refusal::Layout { .. })) => format!("not registered, {reason}"),
-            Some(reason) => format!("refused, {reason}"),
-            None => {
-                let unseen = self.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
-                format!("accepted, rms {:.3} px{}", self.pose.rms_px.unwrap_or(f64::NAN), unseen.unwrap_or_default())
-            }
-        };
-        format!("{}: {outcome}", self.label())
-    }
-
-    pub(super) fn with_telemetry_disagreement(self, telemetry_disagreement: Option<Disagreement>) -> Self {
-        Self { telemetry_disagreement, ..self }
-    }
-}
-
-/// A frame with what telemetry says about it, fixed when it was bound.
-#[derive(Clone, Debug)]
-pub struct Bound {
-    frame: Arc<Frame>,
-    time_us: i64,
-    binding: Binding,
-    joints: Option<CarmJoints>,
-    carm_gap_us: Option<i64>,
-    robot: Option<BoundRobot>,
-    beam: Option<Box<CarmSample>>,
-}
-
-impl Bound {
-    /// What `timeline`, or the exposure itself where the samples are gone, says about a frame that arrived at `arrival_us`.
-    #[must_use]
-    pub fn new(frame: Arc<Frame>, arrival_us: i64, binding: Binding, timeline: &Timeline) -> Self {
-        let exposure = binding.exposure.as_ref();
-        let mid_us = binding.time_us.or_else(|| exposure.map(|exposure| exposure.mid_us()));
-        let joints_at =
-            |us: i64| timeline.joints_at(us).filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
-        let joints = mid_us
-            .and_then(joints_at)
-            .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
-        let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
-        // Of an image of a run, and of the last one held: the joints at its beginning, in its middle, and at its end.
-        let within: Option<Vec<CarmJoints>> = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
-            let times_us = [mid_us.saturating_sub(half_us), mid_us, mid_us.saturating_add(half_us)];
-            times_us.into_iter().map(|us| joints_at(us).map(|answer| answer.value)).collect()
-        });
-        Self {
-            frame,
-            time_us: mid_us.unwrap_or(arrival_us),
-            joints: joints.as_ref().map(|answer| answer.value),
-            carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
-            beam: mid_us
-                .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))
-                .or_else(|| exposure.and_then(|exposure| exposure.beam.clone())),
-            binding: match within {
-                Some(joints) => binding.moved_within(&joints),
-                None => binding,
-            }
-            .across(joints.as_ref().and(mid_us).and_then(|mid_us| Gap::around(timeline, mid_us))),
-            robot,
-        }
-    }
-}
-
-impl Bound {
-    /// The frame as it was read.
-    #[must_use]
-    pub fn frame(&self) -> &Arc<Frame> {
-        &self.frame
-    }
-
-    /// The C-arm's sample nearest the middle of its exposure.
-    #[must_use]
-    pub fn beam(&self) -> Option<&CarmSample> {
-        self.beam.as_deref()
-    }
-
-    /// Gives the frame other pixels and those that it had back; whoever else holds it keeps them too.
-    pub(super) fn replace_pixels(&mut self, pixels: Image<f32>) -> Image<f32> {
-        std::mem::replace(&mut Arc::make_mut(&mut self.frame).pixels, pixels)
-    }
-
-    /// Number of its exposure.
-    #[must_use]
-    pub fn exposure_index(&self) -> Option<u64> {
-        self.binding.exposure.as_ref().map(|exposure| exposure.index)
-    }
-
-    /// Whether this device's telemetry says how it stood at the exposure.
-    #[must_use]
-    pub fn is_known_to(&self, device: DeviceKind) -> bool {
-        match device {
-            DeviceKind::Carm => self.joints.is_some(),
-            DeviceKind::Robot => self.robot.is_some(),
-        }
-    }
-}
+use crate::timeline::BindingFlag;
 
 /// What is known about a session when a frame is registered.
 #[derive(Clone, Debug)]
@@ -465,36 +312,5 @@ impl Registered {
             stages,
         };
         (posed, seen)
-    }
-}
-
-#[cfg(test)]
-impl Posed {
-    /// A small frame of which nothing is known, for tests of what is done with pairs.
-    pub(super) fn bare(number: u32) -> Self {
-        use crate::acquire::Domain;
-        use crate::image::Image;
-        let mut frame = Frame::from_pixels("a", Image::filled(4, 3, 1.0f32), Domain::Linear).expect("a frame");
-        frame.number = number;
-        Self {
-            number,
-            development: 0,
-            frame: Arc::new(frame),
-            time_us: 0,
-            binding: Binding::default(),
-            pose: Pose::default(),
-            masks: Arc::default(),
-            warnings: Vec::new(),
-            intensifier: None,
-            pose_source: PoseSource::Beads,
-            view: None,
-            robot: None,
-            joints: None,
-            carm_gap_us: None,
-            nominal: None,
-            beam: None,
-            telemetry_disagreement: None,
-            stages: StageTimes::default(),
-        }
     }
 }

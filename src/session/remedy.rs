@@ -1,6 +1,6 @@
 //! What the people at the C-arm can do about a frame whose pose is refused or doubted.
 
-use super::posing::Posed;
+use super::posed::Posed;
 use crate::pose::Refusal;
 use crate::report::{Pair, Standing};
 

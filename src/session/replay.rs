@@ -22,7 +22,8 @@ use super::log_inputs::LogInputs;
 use super::losses::none_accepted;
 use super::pace::Pace;
 use super::places;
-use super::posing::{Posed, Registered};
+use super::posed::Posed;
+use super::posing::Registered;
 use super::recorded::{Development, Recorded, drrs_of};
 use super::records::{CUT_TOPIC, CutRecord, RESTART_TOPIC};
 use super::replay_board::ReplayBoard;
@@ -196,6 +197,7 @@ impl Replay<'_> {
                 self.end_engine(reporter);
                 self.engine = engine(&self.setup, &self.workshop, &self.recorded, &options.out, reporter);
                 self.samples.begin_anew();
+                self.broadcast.begin_anew();
             } else if let Some(cut) = self.cut(&entry) {
                 self.samples.cut(cut.from_us, cut.to_us);
             } else if let Some(input) = self.inputs.of(&entry) {

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 
-use super::posing::Posed;
+use super::posed::Posed;
 use crate::geometry::{CarmJoints, Rigid};
 
 /// Joints that differ by no more are the same stand: mm and rad. Over so little an arm sags alike.

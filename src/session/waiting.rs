@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use super::bound::Bound;
 use super::park::{Park, Parked};
-use super::posing::Bound;
 use crate::acquire::Frame;
 use crate::image::Image;
 use crate::reporter::Reporter;

@@ -15,7 +15,7 @@ use super::developed::Developed;
 use super::fault;
 use super::file::Setup;
 use super::inputs::InputNames;
-use super::posing::Posed;
+use super::posed::Posed;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::{Plan, Renderer};

@@ -134,7 +134,7 @@ impl Binder {
         self.stands_for.insert(frame, (first, own));
         let place = Pending { evidence: evidence.clone(), prompt: None, binding: Binding::default(), images: Vec::new() };
         self.known.frames.insert(frame, place);
-        let words = format!("the file was not finished: frame {frame} is the whole picture and has its exposure");
+        let words = format!("the file was written on, or anew: frame {frame} is the whole picture and has its exposure");
         self.stands_for.insert(before, (first, aside(words, BindingFlag::Unfinished { replaced_by: frame })));
         self.changed.insert(before);
         true

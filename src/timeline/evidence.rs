@@ -151,7 +151,7 @@ pub enum BindingFlag {
         /// Of how many.
         count: u32,
     },
-    /// The last image held of a long beam: its time is the beam's end.
+    /// The last image held of a long beam: its time is the beam's end, or when it came.
     LastImage {
         /// How long the beam was on.
         beam_us: i64,
@@ -166,7 +166,7 @@ pub enum BindingFlag {
         /// That frame.
         of: u32,
     },
-    /// The file was not finished when it was read; the whole picture, which has the exposure, came later.
+    /// The file was written on, or anew, after it was read; the whole picture, which has the exposure, came later.
     Unfinished {
         /// As that frame.
         replaced_by: u32,
@@ -190,11 +190,17 @@ impl std::fmt::Display for BindingFlag {
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
             Self::LastImage { beam_us } => {
-                write!(f, "the last image held of a beam of {}: it is taken to be of the beam's end", seconds(*beam_us))
+                write!(
+                    f,
+                    "the last image held of a beam of {}: it is taken to be of the last pulses before it came",
+                    seconds(*beam_us)
+                )
             }
             Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
             Self::SecondPicture { of } => write!(f, "a second picture of the exposure that frame {of} has"),
-            Self::Unfinished { replaced_by } => write!(f, "the file was not finished: frame {replaced_by} is the whole picture"),
+            Self::Unfinished { replaced_by } => {
+                write!(f, "the file was written on, or anew: frame {replaced_by} is the whole picture")
+            }
         }
     }
 }
@@ -340,7 +346,9 @@ pub(super) fn is_angle(i: usize) -> bool {
 /// Host time of `frame` within `span_us` of its exposure: the middle, the end for the last image held, or the image's share of the run.
 pub(super) fn time_within(frame: &FrameEvidence, exposure: &ExposureInterval, [start_us, end_us]: [i64; 2]) -> i64 {
     if long_beam_us(frame, exposure).is_some() {
-        return end_us.saturating_sub(LAST_PULSES_US);
+        // Stored while the beam was on, it shows nothing of what came after it.
+        let end_us = frame.arrival_us.map_or(end_us, |arrival_us| end_us.min(arrival_us));
+        return end_us.saturating_sub(LAST_PULSES_US).max(start_us);
     }
     let [image, count] = frame.image_of_file;
     let length_us = end_us.saturating_sub(start_us).max(0);

@@ -1,7 +1,7 @@
 //! How fast a device's clock runs against the host's, where no crystal is so far off: it counts in another unit, or is wrong.
 //!
-//! Device time over host time is a straight line, however fast the clock runs. What waits somewhere and is worked off, a clock that stands
-//! still for a while and a machine that is busy all bend it, and nothing is told of a bent one.
+//! Device time over host time is a straight line, however fast the clock runs. A clock that stands still for a while, a machine that is busy and
+//! what waits somewhere and is worked off bend it, and nothing is told of a bent one. What waits from the first bends it only when it is worked off.
 
 use super::clock::MAX_DRIFT;
 
@@ -14,6 +14,10 @@ const FEWEST: usize = 10;
 /// … and so many of one that is off by more than half: no delay looks like that.
 const FEWEST_GROSS: usize = 4;
 const GROSS: f64 = 0.5;
+/// What had waited in front of a port just opened may be worked off for so long, and looks like a fast clock meanwhile …
+const WORKED_OFF_US: f64 = 60e6;
+/// … of at most this rate: no line is so much faster than its device.
+const FASTEST_BACKLOG: f64 = 9.0;
 /// What is nearer to the host's rate is mapped away.
 const LEAST_OFF: f64 = 2.0 * MAX_DRIFT;
 /// Both clocks must have come so far apart …
@@ -97,7 +101,8 @@ impl ClockRate {
         let most_us = BENT_SHARE * apart_us.min(device_us);
         let is_straight = points.iter().all(|point| bend_us(point) <= most_us);
         let is_off = (rate - 1.0).abs() >= LEAST_OFF && apart_us >= LEAST_APART_US;
-        (points.len() >= fewest && is_off && is_straight).then_some(rate)
+        let may_be_backlog = rate > 1.0 && rate < FASTEST_BACKLOG && !(last.host_us >= WORKED_OFF_US);
+        (points.len() >= fewest && is_off && is_straight && !may_be_backlog).then_some(rate)
     }
 }
 

@@ -6,12 +6,14 @@
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
 mod accounts;
+mod binding;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
 use super::basis::Basis;
+use super::bound::Bound;
 use super::crosscheck::{DriftWatch, LineWatch};
 use super::edit::BeadEdit;
 use super::editing::Editing;
@@ -21,7 +23,7 @@ use super::import::Import;
 use super::input::{Input, Output};
 use super::losses::line_losses;
 use super::pictures::{PictureDigest, Pictures};
-use super::posing::{Bound, Known, PoseJob, Registered};
+use super::posing::{Known, PoseJob, Registered};
 use super::standstill::Standstill;
 use super::studies::Studies;
 use super::tie::SpecimenTie;
@@ -33,7 +35,7 @@ use crate::geometry::Rigid;
 use crate::pose::Refusal;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
-use crate::timeline::{Binder, Binding, ConsoleZone, FrameEvidence, Timeline};
+use crate::timeline::{Binder, ConsoleZone, FrameEvidence, Timeline};
 
 /// A frame that waits for the telemetry of its exposure.
 struct Pending {
@@ -47,11 +49,6 @@ struct Unbound {
     frame: Option<Arc<Frame>>,
     host_us: i64,
 }
-
-/// How long a frame waits for telemetry that would bind it.
-const BIND_PATIENCE_US: i64 = 1_000_000;
-/// Pixels of unbound frames that are kept, so that they can be developed again: the latest ones, up to this much.
-const MOST_UNBOUND_BYTES: usize = 128 << 20;
 
 /// See the module.
 pub struct Engine {
@@ -273,7 +270,7 @@ impl Engine {
         }
         if let Some(before) = frame.completes {
             self.replaced.insert(before);
-            self.retract(before, "this frame, on which the tie rested, was not finished");
+            self.retract(before, "the file of this frame, on which the tie rested, was written on or anew");
         }
     }
 
@@ -336,7 +333,7 @@ impl Engine {
     fn edit(&mut self, number: u32, edit: &BeadEdit, sink: &mut dyn FnMut(Output)) {
         let development = self.developments.get(&number).copied().unwrap_or(0) + 1;
         let job = if self.replaced.contains(&number) {
-            Err("it was not finished, and another frame is the whole picture".to_owned())
+            Err("its file was written on or anew, and another frame is the whole picture".to_owned())
         } else if self.bound.numbers().any(|waiting| waiting == number) {
             Err("its exposure has become clear only now, and it is about to be posed again".to_owned())
         } else {
@@ -387,100 +384,6 @@ impl Engine {
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),
         });
-    }
-
-    /// Hands on the frames that telemetry has reached or that have waited long enough.
-    fn settle(&mut self, sink: &mut dyn FnMut(Output)) {
-        let changed = match self.ended_us.is_some() {
-            true => self.binder.finish(&self.timeline),
-            false => self.binder.update(&self.timeline, self.now_us),
-        };
-        for number in changed {
-            let Some(binding) = self.binder.binding(number).filter(|binding| binding.exposure.is_some()).cloned() else {
-                continue;
-            };
-            if self.seen.contains(&number) {
-                self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
-                self.tied.insert(number);
-            }
-            if let Some(unbound) = self.unbound.remove(&number) {
-                self.bind_late(number, unbound, binding, sink);
-            }
-        }
-        let waits_at_all = self.setup.carm.is_some() && self.ended_us.is_none();
-        let ready = |(number, pending): (&u32, &Pending)| {
-            let binding = self.binder.binding(*number).cloned().unwrap_or_default();
-            let waited = self.now_us.saturating_sub(pending.host_us);
-            let waits = waits_at_all && waited < BIND_PATIENCE_US && !(binding.settled && self.robot_has_reached(&binding));
-            (!waits).then_some((*number, binding))
-        };
-        let ready: Vec<(u32, Binding)> = self.pending.iter().filter_map(ready).collect();
-        for (number, binding) in ready {
-            let Some(Pending { frame, host_us }) = self.pending.remove(&number) else { continue };
-            if binding.exposure.is_none() {
-                self.keep_unbound(number, &frame, host_us);
-            }
-            let bound = Bound::new(frame, host_us, binding, &self.timeline);
-            self.hearing.bound(number, host_us, &bound);
-            self.shown.extend(bound.exposure_index());
-            self.tied.extend(bound.exposure_index().map(|_| number));
-            self.bound.insert(number, bound);
-            sink(Output::Bound { number });
-        }
-    }
-
-    /// The exposure of a frame that was handed on without one has become clear: its telemetry is stored with it.
-    fn bind_late(&mut self, number: u32, unbound: Unbound, binding: Binding, sink: &mut dyn FnMut(Output)) {
-        let label = binding.exposure.as_ref().map(|exposure| exposure.label()).unwrap_or_default();
-        let Unbound { frame, host_us } = unbound;
-        self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
-        self.tied.insert(number);
-        let timeline = &self.timeline;
-        // Not developed yet: nothing was made without the exposure.
-        if let Some(bound) = self.bound.rebind(number, |frame| Bound::new(frame, host_us, binding.clone(), timeline)) {
-            return self.hearing.bound(number, host_us, bound);
-        }
-        let bound = frame.map(|frame| Bound::new(frame, host_us, binding, timeline));
-        if let Some(bound) = &bound {
-            self.hearing.bound(number, host_us, bound);
-        }
-        let remedy = match bound {
-            Some(_) => "it is posed again, with that exposure's telemetry",
-            None => "its pair was made without that exposure's telemetry, and its pixels were let go since",
-        };
-        let words = format!("frame {number}: only now it is clear that it belongs to {label}; {remedy}");
-        self.reporter.warn("bound late", &words);
-        sink(Output::BoundLate { number, words });
-        if let Some(bound) = bound {
-            *self.developments.entry(number).or_default() += 1;
-            self.bound.insert(number, bound);
-            sink(Output::Bound { number });
-        }
-    }
-
-    /// Why a frame is bound to no exposure, as far as is known by now; `None` where it is bound.
-    pub(super) fn why_unbound(&self, number: u32) -> Option<&Binding> {
-        self.binder.binding(number).filter(|binding| binding.exposure.is_none())
-    }
-
-    /// Keeps a frame for [`Engine::bind_late`]; the pixels of the oldest are let go where there are too many.
-    fn keep_unbound(&mut self, number: u32, frame: &Arc<Frame>, host_us: i64) {
-        self.unbound.insert(number, Unbound { frame: Some(Arc::clone(frame)), host_us });
-        let mut kept_bytes = 0;
-        for unbound in self.unbound.values_mut().rev() {
-            kept_bytes += unbound.frame.as_ref().map_or(0, |frame| frame.pixels.pixels.len() * size_of::<f32>());
-            if kept_bytes > MOST_UNBOUND_BYTES {
-                unbound.frame = None;
-            }
-        }
-    }
-
-    /// Whether the robot's samples go beyond the time of the frame in its exposure, so that its shape is interpolated and not held.
-    fn robot_has_reached(&self, binding: &Binding) -> bool {
-        match (binding.asks_until_us(), self.links.contains_key(&DeviceKind::Robot)) {
-            (Some(at_us), true) => self.timeline.told_until_us(DeviceKind::Robot).is_some_and(|newest_us| newest_us >= at_us),
-            _ => true,
-        }
     }
 
     fn job(&self, bound: Bound) -> PoseJob {

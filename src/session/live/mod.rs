@@ -254,7 +254,12 @@ impl Session {
 
     fn take(&mut self, event: Event) {
         match event {
-            Event::Input(input) => self.with_engine(|engine, sink| engine.push(input, sink)),
+            Event::Input(input) => {
+                let tick_us = if let Input::Tick { host_us } = &input { Some(*host_us) } else { None };
+                self.with_engine(|engine, sink| engine.push(input, sink));
+                // In the order of what was heard: nothing that waits to be taken is silence.
+                tick_us.into_iter().for_each(|now_us| self.broadcast.look(&self.engine, now_us));
+            }
             Event::Registered(registered) => {
                 self.registering = None;
                 self.with_engine(|engine, sink| engine.registered(*registered, sink));

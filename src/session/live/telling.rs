@@ -30,7 +30,6 @@ impl Session {
         }
         self.tell_late();
         self.publish(now_us);
-        self.broadcast.look(&self.engine, now_us);
         if let Some((progress, complete)) = &mut self.finishing {
             let now_complete = self.scribe.complete();
             if now_complete > *complete {

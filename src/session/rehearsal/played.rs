@@ -17,7 +17,7 @@ use crate::session::file::Setup;
 use crate::session::folder::{Collector, Times};
 use crate::session::input::{Input, Output};
 use crate::session::inputs::InputNames;
-use crate::session::posing::Posed;
+use crate::session::posed::Posed;
 use crate::session::tracks::Tracks;
 use crate::session::workshop::Workshop;
 

@@ -140,11 +140,12 @@ const OPENINGS: [&str; 7] = [
     "OpenOptions::new(",
 ];
 /// Where one stands for a reason.
-const OPENS: [(&str, &str); 7] = [
+const OPENS: [(&str, &str); 8] = [
     ("regular.rs", "asks first what it is"),
     ("memory.rs", "the system's own figures"),
     ("cli/devices.rs", "the system's own figures"),
     ("cli/time.rs", "the system's own figures"),
+    ("cli/signals.rs", "the system's own word"),
     ("record/recorder.rs", "makes a log, and reads none"),
     ("image/temporary.rs", "makes a file, and reads none"),
     ("image/new_file.rs", "puts on the disk what it has just written, and its folder"),

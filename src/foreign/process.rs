@@ -38,6 +38,8 @@ impl Process {
             .env("RAYON_NUM_THREADS", "2")
             // Address space that the allocator reserves before the limit is imposed would escape it.
             .env("MIMALLOC_ARENA_RESERVE", "32MiB")
+            // What a second thread of the system's allocator reserves, 64 MiB and more, would be missing within it.
+            .env("MALLOC_ARENA_MAX", "1")
             .stdin(stdin)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());

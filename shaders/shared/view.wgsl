@@ -19,7 +19,8 @@ struct View {
     mean_response: f32,
     mean_square_response: f32,
     moments: u32,            // whether noise needs more than line integrals
-    padding: vec2<u32>,
+    compound: u32,           // whether quanta are those of photons whose energies add up
+    padding: u32,
     fitted_up_to: array<vec4<f32>, 2>, // g/cm2 by material up to which the energies hold
 }
 

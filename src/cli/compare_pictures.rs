@@ -46,17 +46,14 @@ pub(super) fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareComman
 pub(super) fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
     let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
     let bytes = read_small(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
-    let decoded = match image::load_from_memory(&bytes) {
-        Ok(decoded) => decoded.to_luma16(),
-        Err(error) => {
-            // An image of our own kind has floating-point pixels, which nobody else's pictures have.
-            let mut pages = read_tiff_f32(path).map_err(|_| unreadable(error.to_string()))?;
-            return match (pages.len(), pages.pop()) {
-                (1, Some(page)) => Ok(page.map(|value| *value != 0.0)),
-                (found, _) => Err(CompareCommandError::Pages { path: path.to_owned(), found }),
-            };
-        }
-    };
+    // An image of our own kind has floating-point pixels, which nobody's pictures have.
+    if let Ok(mut pages) = read_tiff_f32(path) {
+        return match (pages.len(), pages.pop()) {
+            (1, Some(page)) => Ok(page.map(|value| *value != 0.0)),
+            (found, _) => Err(CompareCommandError::Pages { path: path.to_owned(), found }),
+        };
+    }
+    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
     Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
@@ -96,7 +93,7 @@ mod tests {
         let path = folder.path().join("mask.tif");
         let mut drawn = Image::filled(6, 4, 0.0f32);
         (*drawn.at_mut(1, 0), *drawn.at_mut(2, 3)) = (0.25, f32::NAN);
-        crate::image::write_tiff_f32(&path, &[drawn.clone()]).expect("writes");
+        crate::image::write_tiff_f32(&path, std::slice::from_ref(&drawn)).expect("writes");
         let mask = read_mask(&path).expect("one page");
         assert!(*mask.at(1, 0) && *mask.at(2, 3) && mask.pixels.iter().filter(|excluded| **excluded).count() == 2);
         std::fs::write(&path, b"no picture").expect("writes");

@@ -1,12 +1,12 @@
-// Poisson deviates of each pixel's number of quanta, keyed by (seed, frame, pixel).
+// Poisson deviates of each pixel's photon number, keyed by (seed, frame, pixel).
 // #include shared/view.wgsl
 // #include shared/philox.wgsl
 
 const TILE: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> signal: array<f32>;              // four planes: -ln intensity, sum phi T, mean r, mean r^2
-@group(0) @binding(2) var<storage, read_write> deviates: array<f32>;      // Poisson(M) - M of M quanta
+@group(0) @binding(1) var<storage, read> signal: array<f32>;              // four planes, the second is sum phi T
+@group(0) @binding(2) var<storage, read_write> deviates: array<f32>;      // Poisson(N) - N
 
 @compute @workgroup_size(TILE)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -14,18 +14,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if pixel >= view.size_px.x * view.size_px.y { return; }
     let ray = unproject(view, vec2<u32>(pixel % view.size_px.x, pixel / view.size_px.x));
     let squared = dot(ray, ray);
-    let pixels = view.size_px.x * view.size_px.y;
-    let photons = view.photons_per_pixel * signal[pixels + pixel] / (squared * sqrt(squared));
-    let expected = photons * quanta_per_photon(signal[2u * pixels + pixel], signal[3u * pixels + pixel]);
+    let expected = view.photons_per_pixel * signal[view.size_px.x * view.size_px.y + pixel] / (squared * sqrt(squared));
     open_stream(view.seed, view.frame, pixel, PURPOSE_QUANTUM_NOISE);
     deviates[pixel] = deviate(expected);
-}
-
-// Photons of many energies make the noise of fewer quanta, of mean r^2 / mean r each.
-fn quanta_per_photon(mean: f32, mean_square: f32) -> f32 {
-    let square = max(mean_square, mean * mean);
-    if view.compound == 0u || !(mean > 0.0) || !(square > 0.0) { return 1.0; }
-    return mean * mean / square;
 }
 
 // Poisson(expected) - expected.

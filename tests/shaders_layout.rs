@@ -74,7 +74,6 @@ fn structs_have_the_layout_the_shaders_read() {
         mean_response,
         mean_square_response,
         moments,
-        compound,
         padding,
         fitted_up_to,
     );

@@ -19,8 +19,7 @@ struct View {
     mean_response: f32,
     mean_square_response: f32,
     moments: u32,            // whether noise needs more than line integrals
-    compound: u32,           // whether quanta are those of photons whose energies add up
-    padding: u32,
+    padding: vec2<u32>,
     fitted_up_to: array<vec4<f32>, 2>, // g/cm2 by material up to which the energies hold
 }
 

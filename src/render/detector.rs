@@ -4,38 +4,18 @@ use rayon::prelude::*;
 
 use super::Quantity;
 use super::blur::{FWHM_PER_SIGMA, blur, blur_line_integral, mirror};
-use super::cpu::attenuate_spectrum::{Arriving, Signal};
+use super::cpu::attenuate_spectrum::Signal;
 use super::flood::Flood;
 use crate::geometry::View;
 use crate::random::{Purpose, Stream};
 use crate::scene::model::{Noise, Response, Scene};
 
-/// What f32 rounds of an intensity and its noise, relative to the intensity.
-const ROUNDING: f64 = 1e-5;
-
-/// Whether the noise is that of a panel that sums the energies of its photons.
+/// N(u) = N₀(u) Σ φ T.
 #[must_use]
-pub fn is_compound(scene: &Scene) -> bool {
-    scene.model.noise == Noise::True && scene.detector.response == Response::Energy
-}
-
-/// Quanta per photon that arrives, and the response that each brings.
-// Photons of many energies have a sum of mean N Ē and variance N ⟨E²⟩. So have N Ē²/⟨E²⟩ quanta of ⟨E²⟩/Ē each, a sum that is never
-// negative: a pixel that catches none reads zero.
-fn quanta(arriving: &Arriving, compound: bool) -> (f64, f64) {
-    let mean = f64::from(arriving.mean_response);
-    let square = f64::from(arriving.mean_square_response).max(mean * mean);
-    if compound && mean > 0.0 && square > 0.0 { (mean * mean / square, square / mean) } else { (1.0, mean) }
-}
-
-/// Quanta that a pixel catches on average: N(u) = N₀(u) Σ φ T photons, fewer where they bring different energies.
-#[must_use]
-pub fn expected_quanta(scene: &Scene, signal: &Signal, flood: &Flood) -> Vec<f32> {
+pub fn expected_photons(signal: &Signal, flood: &Flood) -> Vec<f32> {
     let n0 = flood.photons_per_pixel;
-    let compound = is_compound(scene);
-    let number = |(pixel, (arriving, factor)): (usize, (&Arriving, &f32))| {
-        let photons = n0 * f64::from(*factor) * flood.open(pixel) * f64::from(arriving.photon_fraction);
-        (photons * quanta(arriving, compound).0) as f32
+    let number = |(pixel, (arriving, factor)): (usize, (&super::cpu::attenuate_spectrum::Arriving, &f32))| {
+        (n0 * f64::from(*factor) * flood.open(pixel) * f64::from(arriving.photon_fraction)) as f32
     };
     signal.arriving.par_iter().zip(&flood.photons).enumerate().with_min_len(4096).map(number).collect()
 }
@@ -60,16 +40,17 @@ fn scintillator_sigma_px(scene: &Scene, view: &View) -> [f64; 2] {
     [view.intrinsics.fx, view.intrinsics.fy].map(|focal_px| sigma_mm * focal_px / sdd_mm)
 }
 
-/// Noise of `intensity`: quantum noise q·(Poisson(M) − M) / (N₀(u) Σφr) of M quanta of q each, correlated by scintillator and crosstalk, plus
-/// readout noise.
+/// Noise of `intensity`: quantum noise Ē·(Poisson(N) − N) / (N₀(u) Σφr), correlated by scintillator and crosstalk, plus readout noise.
 #[must_use]
 pub fn intensity_noise(scene: &Scene, view: &View, flood: &Flood, signal: &Signal, deviates: &[f32], frame: u32) -> Vec<f32> {
     let [width, height] = view.size_px.map(|n| n as usize);
     let n0 = flood.photons_per_pixel;
-    let compound = is_compound(scene);
+    let compound = scene.model.noise == Noise::True && scene.detector.response == Response::Energy;
     let quantum = |pixel: usize| {
-        let (_, brings) = quanta(&signal.arriving[pixel], compound);
-        (brings * f64::from(deviates[pixel]) / (n0 * f64::from(flood.photons[pixel]) * flood.response(pixel))) as f32
+        let arriving = signal.arriving[pixel];
+        let mean = f64::from(arriving.mean_response);
+        let per_photon = if compound { f64::from(arriving.mean_square_response).max(mean * mean).sqrt() } else { mean };
+        (per_photon * f64::from(deviates[pixel]) / (n0 * f64::from(flood.photons[pixel]) * flood.response(pixel))) as f32
     };
     let mut field: Vec<f32> = (0..width * height).into_par_iter().with_min_len(4096).map(quantum).collect();
     if scene.detector.panel.blur_fwhm_mm > 0.0 {
@@ -125,9 +106,7 @@ pub fn page(scene: &Scene, quantity: Quantity, line_integral: &[f32], noise: &[f
     let limits = limits(scene, flood.photons_per_pixel * flood.principal_response);
     let intensity = |pixel: usize| {
         let clean = f64::from(-line_integral[pixel]).exp();
-        let seen = clean + noise.get(pixel).map_or(0.0, |noise| f64::from(*noise));
-        // A pixel that catches nothing reads zero, but for what f32 rounds.
-        if seen.abs() <= ROUNDING * clean { 0.0 } else { seen }
+        clean + noise.get(pixel).map_or(0.0, |noise| f64::from(*noise))
     };
     let value = |pixel: usize| match quantity {
         Quantity::Intensity => intensity(pixel) as f32,

@@ -163,7 +163,7 @@ impl Renderer {
                     stages.measure("add_noise", || {
                         let as_cast = flood::is_plain(scene) && scatter.is_none();
                         let deviates = cast.deviates.filter(|_| as_cast).unwrap_or_else(|| {
-                            add_noise(&detector::expected_quanta(scene, &cast.signal, &flood), plan.seed, plan.frame_index)
+                            add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
                         });
                         detector::intensity_noise(scene, &view, &flood, &cast.signal, &deviates, plan.frame_index)
                     })
@@ -255,12 +255,11 @@ impl Renderer {
 /// What the shaders are asked for.
 fn request<'r>(ready: &'r Ready<'r>) -> Request<'r> {
     let photons_per_pixel = ready.scene.beam.photons_per_pixel;
-    let compound = detector::is_compound(ready.scene);
     let Plan { seed, frame_index, .. } = ready.plan;
     Request {
         prepared: &ready.prepared,
         bins: ready.bins.as_ref(),
-        noise: ready.noisy().then_some(NoiseKey { seed, frame: frame_index, photons_per_pixel, compound }),
+        noise: ready.noisy().then_some(NoiseKey { seed, frame: frame_index, photons_per_pixel }),
         fitted_up_to: &ready.plan.fitted_up_to_g_per_cm2,
         paths: ready.paths,
     }

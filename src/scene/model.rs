@@ -363,7 +363,7 @@ pub enum Noise {
     Off,
     /// As the paper has it: Ē·(Poisson(N) − N)/N₀.
     Paper,
-    /// With the variance N⟨E²⟩ of an energy-integrating detector: Poisson numbers of N Ē²/⟨E²⟩ quanta, ⟨E²⟩/Ē each.
+    /// With the compound-Poisson factor √(⟨E²⟩/Ē²) of an energy-integrating detector.
     True,
 }
 

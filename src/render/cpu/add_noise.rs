@@ -1,4 +1,4 @@
-//! Twin of `shaders/add_noise.wgsl`: Poisson deviates of each pixel's number of quanta, keyed by (seed, frame, pixel).
+//! Twin of `shaders/add_noise.wgsl`: Poisson deviates of each pixel's photon number, keyed by (seed, frame, pixel).
 
 use rayon::prelude::*;
 

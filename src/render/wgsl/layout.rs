@@ -29,8 +29,7 @@ pub struct View {
     pub mean_response: f32,
     pub mean_square_response: f32,
     pub moments: u32,
-    pub compound: u32,
-    pub padding: u32,
+    pub padding: [u32; 2],
     pub fitted_up_to: [[f32; 4]; 2],
 }
 

@@ -54,7 +54,7 @@ pub struct Executed {
     pub beyond: bool,
     /// What arrives; empty without a spectrum, moments only with noise.
     pub signal: Signal,
-    /// Poisson(M) − M of M quanta; empty without noise.
+    /// Poisson(N) − N; empty without noise.
     pub deviates: Vec<f32>,
     /// Milliseconds by pass, by the device's clock; empty where it has none.
     pub pass_ms: Vec<(&'static str, f64)>,
@@ -292,7 +292,6 @@ fn write(gpu: &Gpu, workspace: &Workspace, request: &Request, packed: layout::Pa
         view.seed = [key.seed as u32, (key.seed >> 32) as u32];
         view.frame = key.frame;
         view.photons_per_pixel = key.photons_per_pixel as f32;
-        view.compound = u32::from(key.compound);
     }
     view.moments = u32::from(needs.noise);
     put(&workspace.view, bytemuck::bytes_of(&view));

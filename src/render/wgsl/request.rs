@@ -27,6 +27,4 @@ pub struct NoiseKey {
     pub frame: u32,
     /// N₀.
     pub photons_per_pixel: f64,
-    /// Whether quanta are those of photons whose energies add up.
-    pub compound: bool,
 }

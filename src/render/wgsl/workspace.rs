@@ -52,7 +52,7 @@ pub struct Parts {
     pub invalid: [usize; 2],
     /// Planes of what arrives: one, or four with noise.
     pub signal: [usize; 2],
-    /// Poisson(M) − M of M quanta.
+    /// Poisson(N) − N.
     pub deviates: [usize; 2],
     /// Area densities.
     pub paths: [usize; 2],
@@ -111,7 +111,7 @@ pub struct Workspace {
     pub flags: wgpu::Buffer,
     /// Planes of what arrives.
     pub signal: wgpu::Buffer,
-    /// Poisson(M) − M of M quanta.
+    /// Poisson(N) − N.
     pub deviates: wgpu::Buffer,
     /// The device's clock.
     pub times: Option<PassTimes>,

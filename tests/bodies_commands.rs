@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Parser;
 use glam::DVec3;
 use sidecarm::cli::compare::{CompareArgs, run as run_compare};
-use sidecarm::cli::render::{RenderArgs, RenderCommandError, run as run_render};
+use sidecarm::cli::render::{PosedError, RenderArgs, RenderCommandError, run as run_render};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::{read_tiff_f32, write_tiff_f32};
 use sidecarm::pose::{Pose, register_shadows};
@@ -137,10 +137,10 @@ fn a_pose_with_a_body_that_the_scene_does_not_know_is_refused() {
     let (pose, ..) = registered();
     let scene = scene_text("ct", "", "").replace(r#""femur": ["#, r#""tibia": ["#);
     let error = render(folder.path(), &scene, &pose, "drr.tif").expect_err("unknown");
-    assert!(matches!(error, RenderCommandError::Scene(_)) && error.to_string().contains("'femur'"), "{error}");
+    assert!(matches!(error, RenderCommandError::Posed(PosedError::Scene(_))) && error.to_string().contains("'femur'"), "{error}");
     assert!(!folder.path().join("drr.tif").exists());
     let refused = Pose { reason: Some("beads: none".to_owned()), status: sidecarm::pose::Status::Refused, ..pose };
     let error = render(folder.path(), &scene, &refused, "drr.tif").expect_err("refused");
-    assert!(matches!(error, RenderCommandError::NoView { .. }) && error.to_string().contains("beads: none"), "{error}");
+    assert!(matches!(error, RenderCommandError::Posed(PosedError::NoView { .. })) && error.to_string().contains("beads: none"), "{error}");
     assert_eq!(refused.place_of("femur", DVec3::X), DVec3::X, "a refused pose places nothing");
 }

@@ -67,6 +67,18 @@ fn what_cannot_be_timed_is_refused() {
     let folder = folder();
     let none = sidecarm(folder.path(), &["time", "scene.json", "--repeat", "0"]);
     assert_eq!(none.status.code(), Some(2), "{}", String::from_utf8_lossy(&none.stderr));
+    let less = sidecarm(folder.path(), &["time", "scene.json", "--repeat", "-1"]);
+    assert!(less.status.code() == Some(2) && String::from_utf8_lossy(&less.stderr).contains("whole number from 1"), "{less:?}");
+    for error in ["nan", "0", "-1", "inf"] {
+        let ran = sidecarm(folder.path(), &["time", "scene.json", "--repeat", "1", "--max-error", error]);
+        let stderr = String::from_utf8_lossy(&ran.stderr);
+        assert!(ran.status.code() == Some(1) && stderr.contains("expected a positive number"), "{error}: {stderr}");
+        assert!(ran.stdout.is_empty(), "{error}");
+    }
+    std::fs::write(folder.path().join("views.json"), "[]").expect("writes");
+    let empty = sidecarm(folder.path(), &["time", "scene.json", "--views", "views.json"]);
+    let stderr = String::from_utf8_lossy(&empty.stderr);
+    assert!(empty.status.code() == Some(1) && stderr.contains("views.json: it holds no matrix"), "{stderr}");
     std::fs::write(folder.path().join("views.json"), "[[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]]").expect("writes");
     let scaled = sidecarm(folder.path(), &["time", "scene.json", "--views", "views.json"]);
     let stderr = String::from_utf8_lossy(&scaled.stderr);

@@ -109,7 +109,7 @@ fn no_command_writes_over_its_inputs() {
     let mut before = BTreeMap::new();
     files(folder.path(), &mut before);
     let mut cases: Vec<&[&str]> = vec![
-        &["render", "scene.json", "--out", "new.tif", "--png", "scene.json"],
+        &["render", "scene.json", "--out", "new.tif", "--dicom", "scene.json"],
         &["render", "scene.json", "--out", "scene.json"],
         &["render", "scene.json", "--out", "data/../scene.json"],
         &["render", "scene.json", "--out", "data/tool.stl"],

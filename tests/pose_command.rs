@@ -105,11 +105,14 @@ fn what_cannot_be_converted_is_said_in_one_sentence() {
             .to_string(),
     );
     write("noise.bin", "what is this");
-    let cases: [(&[&str], &str); 11] = [
+    let femur = json!({"name": "femur", "lps_from_body": [[1,0,0,5],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "beads": 5, "used": 5});
+    write("twice.json", &changed("bodies", json!([femur, femur])));
+    let cases: [(&[&str], &str); 13] = [
         (
             &["refused.json", "--to", "matrix"],
             "refused.json: the pose was refused, so there is no projection to convert: too_few: 3 beads",
         ),
+        (&["twice.json", "--to", "matrix"], "twice.json: at bodies[1].name: body \"femur\" stands there twice"),
         (&["unknown.json", "--to", "matrix"], "unknown field `colour`"),
         (&["empty.json", "--to", "matrix"], "neither projection nor camera_from_lps"),
         (&["contradiction.json", "--to", "matrix"], "projection and intrinsics with camera_from_lps differ"),
@@ -120,6 +123,7 @@ fn what_cannot_be_converted_is_said_in_one_sentence() {
         (&["POSE.json", "--to", "pose"], "is a pose file already"),
         (&["POSE.json", "--to", "matrix", "--out", "POSE.json"], "would overwrite an input"),
         (&["POSE.json", "--to", "rtk", "--pitch", "nan"], "--pitch is [NaN], expected one or two positive numbers"),
+        (&["POSE.json", "--to", "rtk", "--pitch", "1e30"], "--pitch is [1e30], expected one or two positive numbers, at most 100 mm"),
     ];
     for (words, expected) in cases {
         let found = complaint(&convert(folder.path(), words));
@@ -158,6 +162,7 @@ fn a_focal_spot_at_the_patient_and_a_patient_behind_it_are_said() {
     };
     assert!(!said(right).contains("warning: "), "control: {}", said(right));
     assert!(said(changed(|mm| *mm *= 1e-3, 0..3)).contains("are its lengths in metres?"));
+    assert!(said(changed(|mm| *mm *= 10.0, 2..3)).contains("beyond the panel at"));
     assert!(said(changed(|mm| *mm *= -1.0, 2..3)).contains("mm behind the focal spot: is it the inverse of a pose"));
 }
 

@@ -117,7 +117,7 @@ fn planning_is_booked_among_the_stages() {
 fn outputs_replace_neither_one_another_nor_what_is_no_file() {
     let folder = tempfile::tempdir().expect("folder");
     let same = folder.path().join("drr.tif").display().to_string();
-    let error = render(folder.path(), &["--png", &same]).expect_err("one name");
+    let error = render(folder.path(), &["--dicom", &same]).expect_err("one name");
     assert!(matches!(error, RenderCommandError::Picture(ImageFileError::NamedTwice { .. })), "{error}");
     let pipe = folder.path().join("drr.png");
     let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
@@ -156,7 +156,7 @@ fn what_makes_numbers_wrong_is_not_compared() {
     // An air level far below every pixel gave numbers in nepers.
     let values = |at: usize| 1000.0 * (-line(at)).exp();
     let [low, high] = (0..64 * 48).map(values).fold([f32::MAX, 0.0], |[low, high], value| [low.min(value), high.max(value)]);
-    for air in ["1e-30", "7.0", "1e30"] {
+    for air in ["1e-30", "7.0", "1e30", "0.0", "-1.0"] {
         let error = compared(0.0, air).expect_err("no air").to_string();
         assert!(error.starts_with(&format!("air level {air} is not the signal with nothing in the beam")), "{error}");
         let numbers: Vec<f32> = error.split([' ', ';']).filter_map(|word| word.parse().ok()).collect();

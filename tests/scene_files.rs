@@ -168,9 +168,12 @@ fn a_view_needs_every_joint_and_one_that_a_carm_has() {
 #[test]
 fn mistakes_name_file_and_place() {
     type Change = fn(&mut Value);
-    let cases: [(&str, Change, &[&str]); 30] = [
+    let cases: [(&str, Change, &[&str]); 34] = [
         ("unknown key", |s| s["objects"][0]["sphere"]["radius"] = json!(1), &["objects[0].sphere", "radius"]),
         ("unknown kind", |s| s["objects"][0] = json!({"ball": {}}), &["objects[0]", "ball"]),
+        ("no kind", |s| s["objects"][0] = json!({}), &["objects[0]", "one of ct, mesh"]),
+        ("two kinds", |s| s["objects"][0] = json!({"sphere": s["objects"][0]["sphere"].clone(), "mesh": {}}), &["objects[0]"]),
+        ("a name", |s| s["objects"][0] = json!("ct"), &["objects[0]", "one of ct, mesh"]),
         ("unknown top", |s| s["vew"] = json!(1), &["vew"]),
         (
             "unknown material",
@@ -192,7 +195,7 @@ fn mistakes_name_file_and_place() {
             |s| s["objects"][4]["robot"]["lps_from_base"][0][0] = json!(2),
             &["objects[4].robot.lps_from_base", "rigid"],
         ),
-        ("mirrored", |s| s["view"]["camera_from_lps"][0][0] = json!(-1), &["view.camera_from_lps"]),
+        ("mirrored", |s| s["view"]["camera_from_lps"][0][0] = json!(-1), &["view.camera_from_lps", "mirrors"]),
         (
             "not a rotation",
             |s| s["objects"][1]["ellipsoid"]["rotation_lps_from_local"][0][0] = json!(3),
@@ -220,6 +223,11 @@ fn mistakes_name_file_and_place() {
         ("two beams", |s| s["beam"]["mono_kev"] = json!(60), &["beam", "exactly one"]),
         ("photons", |s| s["beam"]["photons_per_pixel"] = json!(0), &["beam.photons_per_pixel"]),
         ("crosstalk", |s| s["detector"]["crosstalk"] = json!([[0.5, 0.5]]), &["detector.crosstalk"]),
+        (
+            "negative",
+            |s| s["detector"]["crosstalk"] = json!([[0.0, -0.1, 0.0], [-0.1, 1.4, -0.1], [0.0, -0.1, 0.0]]),
+            &["detector.crosstalk", "-0.1", "0 or more"],
+        ),
         ("sum", |s| s["detector"]["crosstalk"] = json!([[0.5]]), &["crosstalk", "0.5"]),
         ("noise", |s| s["model"]["noise"] = json!("loud"), &["model.noise", "loud"]),
         ("correlation", |s| s["detector"]["readout_noise"] = json!({"sigma": 0.1, "row_correlation": 1}), &["row_correlation"]),

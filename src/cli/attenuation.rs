@@ -3,8 +3,10 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use serde::Serialize;
 
+use super::named;
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series, Stroke};
 use crate::image::{ImageFileError, write_atomically};
 use crate::scene::physics::{Coefficients, ENERGY_RANGE_KEV, Material, PhysicsError, symbol};
@@ -22,13 +24,13 @@ pub struct AttenuationArgs {
     /// Name of the materials table (any case), chemical formula, or mass fractions
     pub material: String,
     /// Photon energies in keV, separated by commas
-    #[arg(long, value_name = "E1,E2", value_delimiter = ',', required = true, num_args = 1)]
+    #[arg(long, value_name = "E1,E2", value_delimiter = ',', required = true, num_args = 1, allow_hyphen_values = true)]
     pub kev: Vec<f64>,
     /// Print one JSON object instead of a table
     #[arg(long)]
     pub json: bool,
     /// Draw all four over the whole range of energies, the asked ones as dots
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = PathBufValueParser::new().try_map(named::svg))]
     pub plot: Option<PathBuf>,
 }
 
@@ -38,6 +40,12 @@ pub enum TableError {
     /// The material, an energy, or the beam.
     #[error(transparent)]
     Physics(#[from] PhysicsError),
+    /// A filter of unknown density.
+    #[error("--filter {name}: its density is not known here; name an element or a material of `sidecarm materials`, such as water for H2O")]
+    FilterDensity {
+        /// As typed.
+        name: String,
+    },
     /// The plot cannot be drawn.
     #[error(transparent)]
     Plot(#[from] PlotError),

@@ -3,9 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::calibrate_layout_error::CalibrateShotsError;
 use super::calibrate_layout_shots::{self, ShotsArgs};
+use super::named;
 use crate::beads::{BeadsError, read_landmarks, read_markups};
 use crate::calibrate::layout::{LayoutScore, Planned, SelfMatch, map, score};
 use crate::image::{ImageFileError, refuse_overwrite, refuse_twice, write_atomically};
@@ -61,7 +63,12 @@ pub struct LayoutArgs {
     #[arg(long, value_name = "L.mrk.json")]
     pub landmarks: Option<PathBuf>,
     /// With --score and --intrinsics: the predictions over all planned views as a picture
-    #[arg(long, value_name = "MAP.svg", requires_all = ["score", "intrinsics"])]
+    #[arg(
+        long,
+        value_name = "MAP.svg",
+        requires_all = ["score", "intrinsics"],
+        value_parser = PathBufValueParser::new().try_map(named::svg)
+    )]
     pub map: Option<PathBuf>,
     /// Print the result as JSON instead of a table
     #[arg(long)]

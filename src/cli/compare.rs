@@ -54,7 +54,7 @@ pub struct CompareArgs {
     #[arg(long, value_name = "TONE", default_value = "none")]
     pub tone: Tone,
     /// Air level: open (from pixels that the simulation predicts to be air), maximum (the paper's rule), unknown, or a number
-    #[arg(long, value_name = "AIR", default_value = "open")]
+    #[arg(long, value_name = "AIR", default_value = "open", allow_negative_numbers = true)]
     pub air: AirLevel,
     /// Stored value without X-rays: shutters (from the collimated area, for linear frames), none, or a number
     #[arg(long, value_name = "OFFSET", default_value = "shutters")]

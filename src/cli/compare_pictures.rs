@@ -46,6 +46,13 @@ pub(super) fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareComman
 pub(super) fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
     let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
     let bytes = read_small(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
+    // An image of our own kind has floating-point pixels, which nobody's pictures have.
+    if let Ok(mut pages) = read_tiff_f32(path) {
+        return match (pages.len(), pages.pop()) {
+            (1, Some(page)) => Ok(page.map(|value| *value != 0.0)),
+            (found, _) => Err(CompareCommandError::Pages { path: path.to_owned(), found }),
+        };
+    }
     let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
@@ -79,6 +86,19 @@ pub(super) fn mask_as_compared(
 mod tests {
     use super::*;
     use crate::geometry::Flip;
+
+    #[test]
+    fn an_image_of_our_own_kind_is_a_mask_as_well() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("mask.tif");
+        let mut drawn = Image::filled(6, 4, 0.0f32);
+        (*drawn.at_mut(1, 0), *drawn.at_mut(2, 3)) = (0.25, f32::NAN);
+        crate::image::write_tiff_f32(&path, std::slice::from_ref(&drawn)).expect("writes");
+        let mask = read_mask(&path).expect("one page");
+        assert!(*mask.at(1, 0) && *mask.at(2, 3) && mask.pixels.iter().filter(|excluded| **excluded).count() == 2);
+        std::fs::write(&path, b"no picture").expect("writes");
+        assert!(read_mask(&path).is_err_and(|error| error.to_string().contains("not a readable mask")));
+    }
 
     #[test]
     fn a_mask_goes_with_the_frame_that_it_was_drawn_over() {

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde_json::{Map, Value, json};
 
-use super::pose_losses::{PitchContradiction, implausible, settle_pitch, unkept, unused};
+use super::pose_losses::{PitchContradiction, beyond_panel, implausible, settle_pitch, unkept, unused};
 use crate::foreign::read_small;
 use crate::geometry::formats::{ExchangedCamera, Format, FormatError, Known, PatientAxes, read, recognise, write};
 use crate::geometry::{AngleConvention, CameraError, PatientPosition, View};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
-use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Status};
+use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Status, is_pitch};
 use crate::reporter::Reporter;
 
 /// Poses as other tools write and read them.
@@ -67,7 +67,7 @@ pub struct ConvertArgs {
     #[arg(long, value_name = "COLUMNS,ROWS", value_delimiter = ',', num_args = 1)]
     pub size: Vec<u32>,
     /// Pixel pitch at the detector, where POSE and --intrinsics have none; two numbers for pixels that are not square
-    #[arg(long, value_name = "MM", value_delimiter = ',', num_args = 1)]
+    #[arg(long, value_name = "MM", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
     pub pitch: Vec<f64>,
     /// Patient axes of the other tool's file: lps or ras; by default those the tool uses (deepdrr: ras, others: lps)
     #[arg(long, value_name = "AXES")]
@@ -222,7 +222,7 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
     warnings.extend(settled.map_err(|source| ConvertError::Pitch { path: args.pose.clone(), source })?);
     let typed_size_px = known.size_px.filter(|_| !args.size.is_empty());
     warnings.extend(unused(&camera, typed_size_px, known.intrinsics));
-    warnings.extend(implausible(&camera.camera_from_lps));
+    warnings.extend(implausible(&camera.camera_from_lps).or_else(|| beyond_panel(&camera)));
     let text = match args.to {
         Target::Pose => serde_json::to_string_pretty(&pose_of(&camera, from))? + "\n",
         Target::Foreign(format) => {
@@ -262,14 +262,13 @@ fn known(args: &ConvertArgs) -> Result<Known, ConvertError> {
             return Err(ConvertError::Option { option: "size", found, expected: "columns and rows, both at least 1" });
         }
     };
-    let good = |pitch: f64| pitch > 0.0 && pitch.is_finite();
     let pitch_mm = match args.pitch[..] {
         [] => file.and_then(|file| file.pitch_mm).map(|pitch| [pitch, pitch]),
-        [pitch] if good(pitch) => Some([pitch, pitch]),
-        [x, y] if good(x) && good(y) => Some([x, y]),
+        [pitch] if is_pitch(pitch) => Some([pitch, pitch]),
+        [x, y] if is_pitch(x) && is_pitch(y) => Some([x, y]),
         _ => {
             let found = format!("{:?}", args.pitch);
-            return Err(ConvertError::Option { option: "pitch", found, expected: "one or two positive numbers" });
+            return Err(ConvertError::Option { option: "pitch", found, expected: "one or two positive numbers, at most 100 mm" });
         }
     };
     Ok(Known { intrinsics: file.map(|file| file.intrinsics), size_px, pitch_mm })

@@ -73,6 +73,18 @@ pub(super) fn implausible(camera_from_lps: &Rigid) -> Option<String> {
     })
 }
 
+/// The patient behind the panel, by K and the pitch: what is X-rayed lies before it.
+pub(super) fn beyond_panel(camera: &ExchangedCamera) -> Option<String> {
+    let distance_mm = camera.intrinsics?.source_to_detector_mm(camera.pitch_mm?[0]);
+    let depth_mm = camera.camera_from_lps.translation_mm.z;
+    (!(depth_mm <= distance_mm)).then(|| {
+        format!(
+            "the patient's origin lies {depth_mm:.0} mm from the focal spot, beyond the panel at {distance_mm:.0} mm (fx times pitch): is the pitch \
+             that of K's pixels, in mm?"
+        )
+    })
+}
+
 /// K and the pitches of columns and rows say two distances from source to detector.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(

@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
+
+use super::named;
 use super::register_error::RegisterError;
 use super::shot_files::read_priors;
 use crate::acquire::Domain;
@@ -86,7 +89,7 @@ pub struct RegisterArgs {
     pub landmarks: Option<PathBuf>,
     /// A picture of the frame: masks tinted, shadows (white), beads used (green) and left out (red), where P puts them (yellow), and
     /// residuals 20 times as long as they are
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(named::png))]
     pub overlay: Option<PathBuf>,
     /// Print also which beads P rests on, what was made of the prior, which other readings of the frame were looked at and why they do not
     /// stand, and every shadow with what was made of it

@@ -1,23 +1,23 @@
 //! `sidecarm render`: one scene, one radiograph.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use crate::cli::following::{Keep, KeepArgs, forget, hashes};
+use crate::cli::named;
+pub use crate::cli::posed::PosedError;
+use crate::cli::posed::posed;
 use crate::cli::scattered::{Asked, SCATTER_ERROR, ScatteredError, scattered, ways};
-use crate::compare::posed_scene;
-use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
-use crate::pose::{Pose, PoseFileError};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice};
 use crate::render::{
-    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, explain_unseen, guessed_share, write_dicom, write_image,
-    write_picture, written_with,
+    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, explain_unseen, guessed_share, unsaid_skew, write_dicom,
+    write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
-use crate::scene::model::{InputFile, ScatterModel, Scene};
+use crate::scene::model::ScatterModel;
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
 
@@ -47,10 +47,10 @@ pub struct RenderArgs {
     #[arg(long, value_enum, default_value = "intensity")]
     pub quantity: QuantityArg,
     /// Largest |error of the line integral| / max(1, line integral) that will do, noise aside [default: 1e-5]
-    #[arg(long, value_name = "REL")]
+    #[arg(long, value_name = "REL", allow_negative_numbers = true)]
     pub max_error: Option<f64>,
     /// Milliseconds that the image may take, planning and preparation of volumes aside: as accurate as fits
-    #[arg(long, value_name = "T", conflicts_with = "max_error")]
+    #[arg(long, value_name = "T", conflicts_with = "max_error", allow_negative_numbers = true)]
     pub budget_ms: Option<f64>,
     /// What renders
     #[arg(long, value_enum, default_value = "auto")]
@@ -59,7 +59,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N")]
     pub gpu_memory_mib: Option<u64>,
     /// Where the scene has model.scatter "monte_carlo": follow photons until the median relative standard error of the scatter is no larger
-    #[arg(long, value_name = "REL", default_value_t = SCATTER_ERROR)]
+    #[arg(long, value_name = "REL", default_value_t = SCATTER_ERROR, allow_negative_numbers = true)]
     pub scatter_error: f64,
     #[command(flatten)]
     pub keep: KeepArgs,
@@ -78,7 +78,7 @@ pub struct RenderArgs {
     #[arg(long)]
     pub explain: bool,
     /// An 8-bit picture for eyes as well
-    #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(no_stream))]
+    #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(named::png))]
     pub png: Option<PathBuf>,
     /// The same as a DICOM object (digital X-ray, 16 bits) with its geometry
     #[arg(long, value_name = "FILE.dcm", value_parser = PathBufValueParser::new().try_map(no_stream))]
@@ -177,18 +177,16 @@ pub enum RenderCommandError {
     Scatter(#[from] ScatteredError),
     /// The pose.
     #[error(transparent)]
-    Pose(#[from] PoseFileError),
-    /// A pose that says too little.
-    #[error("{path}: {detail}", path = path.display())]
-    NoView {
-        /// The pose.
-        path: PathBuf,
-        /// What is missing.
-        detail: String,
-    },
+    Posed(#[from] PosedError),
     /// The picture.
     #[error(transparent)]
     Picture(#[from] ImageFileError),
+    /// Area densities of nothing.
+    #[error("{path}: the scene has no material, so there is no area density to write; add an object, or ask for another --quantity", path = path.display())]
+    NoMaterial {
+        /// The scene.
+        path: PathBuf,
+    },
     /// A wish that is no positive number.
     #[error("{flag} {value}: expected a positive number")]
     Goal {
@@ -222,7 +220,10 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     let mut scene = scene::load(&args.scene, args.pose.is_none(), reporter)?;
     if let Some(path) = &args.pose {
-        scene = posed(&scene, path)?;
+        scene = posed(&scene, path, reporter)?;
+    }
+    if args.quantity == QuantityArg::AreaDensity && scene.materials.is_empty() {
+        return Err(RenderCommandError::NoMaterial { path: args.scene.clone() });
     }
     let [.., checkpoint] = crate::transport::written_with(&args.out);
     let others = args.png.iter().chain(&args.dicom).chain([&checkpoint]).cloned();
@@ -320,6 +321,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     if let Some(path) = &args.dicom {
         write_dicom(path, &rendered, &scene)?;
+        scene.view.and_then(|view| unsaid_skew(&view)).iter().for_each(|words| reporter.note(format_args!("note: {words}")));
     }
     if rendered.scatter.as_ref().is_some_and(|added| matches!(added.from, Origin::Photons { .. })) {
         forget(&checkpoint)?;
@@ -330,22 +332,6 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         println!("{}", line(args, &rendered));
     }
     Ok(0)
-}
-
-/// The scene from the pose at `path`.
-fn posed(scene: &Scene, path: &Path) -> Result<Scene, RenderCommandError> {
-    let pose = Pose::read(path)?;
-    let says = |detail: String| RenderCommandError::NoView { path: path.to_owned(), detail };
-    let (intrinsics, camera_from_lps) = pose.camera().ok_or_else(|| {
-        let why = pose.reason.as_deref().unwrap_or("it has no intrinsics or no camera_from_lps");
-        says(format!("gives no camera ({why}); an accepted pose does"))
-    })?;
-    let size_px = pose.size_px.or(scene.view.map(|view| view.size_px));
-    let size_px = size_px.ok_or_else(|| says("has no size_px, and the scene has no view; add either".to_owned()))?;
-    let mut scene = posed_scene(scene, &pose, View { size_px, intrinsics, camera_from_lps })?;
-    let sha256 = sha256_file(path)?;
-    scene.inputs.push(InputFile { path: path.display().to_string(), sha256, place: Some(path.to_owned()), parts: Vec::new() });
-    Ok(scene)
 }
 
 /// A flag's value that must be positive.

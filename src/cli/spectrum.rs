@@ -4,9 +4,11 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use serde::Serialize;
 
 use super::attenuation::{TableError, print, write_plot};
+use super::named;
 use crate::image::plot::{Axis, Mark, Plot, Scale, Series, Stroke};
 use crate::scene::physics::{Bin, Material, Spectrum};
 
@@ -20,10 +22,10 @@ Half-value layers are of aluminium and weigh photons by air kerma. Without --fil
 Source: SpekPy 2.5, 40 to 140 kV, 6 to 20 degrees; filters by our own attenuation tables.")]
 pub struct SpectrumArgs {
     /// Tube voltage in kV, 40 to 140
-    #[arg(long, value_name = "KV")]
+    #[arg(long, value_name = "KV", allow_negative_numbers = true)]
     pub kvp: f64,
     /// Anode angle in degrees, 6 to 20
-    #[arg(long, value_name = "DEG", default_value_t = 12.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 12.0, allow_negative_numbers = true)]
     pub anode_angle: f64,
     /// A filter: material and thickness in mm; may be given several times, also with formulas of known density
     #[arg(long, value_name = "MATERIAL=MM")]
@@ -32,7 +34,7 @@ pub struct SpectrumArgs {
     #[arg(long)]
     pub json: bool,
     /// Draw the spectrum
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = PathBufValueParser::new().try_map(named::svg))]
     pub plot: Option<PathBuf>,
 }
 
@@ -85,7 +87,11 @@ struct BinAnswer {
 pub fn run(args: &SpectrumArgs, out: &mut dyn Write) -> Result<(), TableError> {
     let mut filtration = Vec::with_capacity(args.filter.len());
     for filter in &args.filter {
-        filtration.push((Material::parse(&filter.material)?, filter.thickness_mm));
+        let material = Material::parse(&filter.material)?;
+        if material.density_g_per_cm3.is_none() {
+            return Err(TableError::FilterDensity { name: material.name });
+        }
+        filtration.push((material, filter.thickness_mm));
     }
     let spectrum = Spectrum::tungsten_output(args.kvp, args.anode_angle, &filtration)?;
     let answer = answer(args, &filtration, &spectrum)?;

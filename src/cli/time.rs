@@ -33,10 +33,10 @@ pub struct TimeArgs {
     #[arg(long, value_enum, default_value = "line_integral")]
     pub quantity: QuantityArg,
     /// The error that will do
-    #[arg(long, value_name = "REL", default_value_t = 1e-3)]
+    #[arg(long, value_name = "REL", default_value_t = 1e-3, allow_negative_numbers = true)]
     pub max_error: f64,
     /// Images per view
-    #[arg(long, default_value = "5")]
+    #[arg(long, default_value = "5", allow_negative_numbers = true, value_parser = images)]
     pub repeat: NonZeroUsize,
     /// Plan every image anew, as a live session does, and count that
     #[arg(long)]
@@ -49,6 +49,11 @@ pub struct TimeArgs {
     pub device: DeviceArg,
 }
 
+/// A number of images.
+fn images(text: &str) -> Result<NonZeroUsize, String> {
+    text.parse().map_err(|_| format!("'{text}' is no number of images, expected a whole number from 1"))
+}
+
 /// Why nothing was timed.
 #[derive(Debug, thiserror::Error)]
 pub enum TimeError {
@@ -58,6 +63,12 @@ pub enum TimeError {
     /// The renderer.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// An error that is no positive number.
+    #[error("--max-error {value}: expected a positive number")]
+    MaxError {
+        /// As typed.
+        value: f64,
+    },
     /// The list of views.
     #[error("{}: {detail}; expected a list of 4x4 rigid matrices camera_from_lps", path.display())]
     Views {
@@ -89,6 +100,9 @@ struct View {
 /// # Errors
 /// When the scene or a view is wrong.
 pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
+    if !(args.max_error > 0.0 && args.max_error.is_finite()) {
+        return Err(TimeError::MaxError { value: args.max_error });
+    }
     let watch = Stopwatch::start();
     let mut scene = scene::load(&args.scene, true, reporter)?;
     let load_ms = watch.ms();
@@ -192,6 +206,9 @@ fn poses(path: &Path) -> Result<Vec<Rigid>, TimeError> {
     let wrong = |detail: String| TimeError::Views { path: path.to_owned(), detail };
     let text = read_small(path).map_err(|error| wrong(error.to_string()))?;
     let rows: Vec<[[f64; 4]; 4]> = serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
+    if rows.is_empty() {
+        return Err(wrong("it holds no matrix".to_owned()));
+    }
     let pose = |(index, rows): (usize, &[[f64; 4]; 4])| {
         let matrix = DMat4::from_cols_array_2d(rows).transpose();
         let (scale, rotation, translation_mm) = matrix.to_scale_rotation_translation();

@@ -182,8 +182,8 @@ fn check_level(declared: f64, offset: f64, signal: &Image<f32>, usable: &Image<b
     let mut values: Vec<f32> = at_usable.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
     let Some(bright) = quantile(&mut values, 0.99) else { return Ok(()) };
     let level = declared - offset;
-    // What is not positive has no logarithm, and is said so later.
-    if !(level > 0.0) || level * BRIGHTER_THAN_AIR >= bright && level <= bright * DARKER_THAN_AIR {
+    // What is not positive has no logarithm.
+    if level > 0.0 && level * BRIGHTER_THAN_AIR >= bright && level <= bright * DARKER_THAN_AIR {
         return Ok(());
     }
     let [low, high] = values.iter().fold([f32::MAX, f32::MIN], |[low, high], value| [low.min(*value), high.max(*value)]);

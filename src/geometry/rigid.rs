@@ -9,7 +9,7 @@ pub enum RigidError {
     #[error("transform holds a number that is not finite")]
     NotFinite,
     /// The upper left 3×3 is not a rotation.
-    #[error("transform is not rigid: rotation part is off by {deviation:.2e} (limit {limit:.0e}), determinant {determinant:.6}")]
+    #[error("transform is not rigid: rotation part is off by {deviation:.2e} (limit {limit:.0e}), determinant {determinant:.6}{}", mirrors(*determinant))]
     NotRotation {
         /// Largest entry of |RᵀR − 1|.
         deviation: f64,
@@ -24,6 +24,11 @@ pub enum RigidError {
         /// The row found.
         found: [f64; 4],
     },
+}
+
+/// What else there is to say of a rotation part with this determinant.
+fn mirrors(determinant: f64) -> &'static str {
+    if determinant < 0.0 { "; it mirrors, which no rigid motion does: un-mirror the frame first, or turn one axis round" } else { "" }
 }
 
 /// A rotation and a translation in millimetres: `a_from_b` maps points in `b` to points in `a`.

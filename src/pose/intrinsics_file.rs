@@ -8,6 +8,15 @@ use super::file::{PoseFileError, read_json};
 use super::solve::IntrinsicsPrior;
 use crate::geometry::Intrinsics;
 
+/// No pixel of a detector is larger.
+pub(super) const MOST_PITCH_MM: f64 = 100.0;
+
+/// Whether pixels may be so far apart.
+#[must_use]
+pub fn is_pitch(pitch_mm: f64) -> bool {
+    pitch_mm > 0.0 && pitch_mm <= MOST_PITCH_MM
+}
+
 /// Standard deviations with which K is stated; with them K is solved, and what the file says is a measurement of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -47,8 +56,8 @@ impl IntrinsicsFile {
         let file: Self = read_json(path)?;
         let form = |place: &str, message: String| PoseFileError::Form { path: path.to_owned(), place: place.to_owned(), message };
         let good = |x: f64| x > 0.0 && x.is_finite();
-        if let Some(pitch) = file.pitch_mm.filter(|pitch| !good(*pitch)) {
-            return Err(form("pitch_mm", format!("pitch is {pitch} mm, it must be positive")));
+        if let Some(pitch) = file.pitch_mm.filter(|pitch| !is_pitch(*pitch)) {
+            return Err(form("pitch_mm", format!("pitch is {pitch} mm, it must be positive, at most {MOST_PITCH_MM} mm")));
         }
         let Some(IntrinsicsSigma { source_to_detector_mm, principal_point_px, pitch_mm }) = file.sigma else { return Ok(file) };
         for (key, sigma) in [("source_to_detector_mm", source_to_detector_mm), ("principal_point_px", principal_point_px)] {

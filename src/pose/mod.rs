@@ -59,7 +59,7 @@ pub use explained::{Explained, ExplainedPrior, FoundReading, PriorUse, Reading, 
 pub use file::PoseFileError;
 pub use hand_marks::{ByHand, Edited, HandMark, HandSays};
 pub use innovation::{fuse, innovation};
-pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma};
+pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma, is_pitch};
 pub use on_panel::read_console;
 pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use prior::Prior;

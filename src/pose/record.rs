@@ -9,6 +9,7 @@ use super::cautions::is_of_looseness;
 use super::explained::{Explained, Reading, Rejected, RejectedReading};
 use super::file::{PoseFileError, read_json, write_json};
 use super::hand_marks::Edited;
+use super::intrinsics_file::{MOST_PITCH_MM, is_pitch};
 use super::refusal::Refusal;
 use super::residual::{BeadResidual, TagResidual};
 use super::unseen::Unseen;
@@ -365,9 +366,19 @@ impl Pose {
     /// Reads a file.
     ///
     /// # Errors
-    /// When it cannot be read, is not JSON, or holds unknown keys.
+    /// When it cannot be read, is not JSON, holds unknown keys, states its camera twice and differently, has two bodies of one name, or pixels
+    /// of a size that no panel has.
     pub fn read(path: &Path) -> Result<Self, PoseFileError> {
         let pose: Self = read_json(path)?;
+        let form = |place: &str, message: String| PoseFileError::Form { path: path.to_owned(), place: place.to_owned(), message };
+        let is_named_before = |(n, body): &(usize, &BodyPose)| pose.bodies[..*n].iter().any(|earlier| earlier.name == body.name);
+        if let Some((n, body)) = pose.bodies.iter().enumerate().find(is_named_before) {
+            let message = format!("body {:?} stands there twice, and lies in one place only; remove one of the two", body.name);
+            return Err(form(&format!("bodies[{n}].name"), message));
+        }
+        if let Some(pitch_mm) = pose.pitch_mm.filter(|pitch_mm| !is_pitch(*pitch_mm)) {
+            return Err(form("pitch_mm", format!("pitch is {pitch_mm} mm, expected above 0, at most {MOST_PITCH_MM} mm")));
+        }
         match pose.contradiction_px() {
             Some(off_px) if !(off_px <= MOST_APART_PX) => Err(PoseFileError::Contradiction { path: path.to_owned(), off_px }),
             _ => Ok(pose),

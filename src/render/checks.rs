@@ -22,6 +22,13 @@ pub(super) fn check(scene: &Scene) -> Result<(), RenderError> {
             expected: "an odd square",
         });
     }
+    if let Some(weight) = kernel.iter().flatten().find(|weight| !(**weight >= 0.0)) {
+        return Err(RenderError::Number { what: "detector.crosstalk: a number", value: *weight, expected: "0 or more" });
+    }
+    let sum: f64 = kernel.iter().flatten().sum();
+    if !kernel.is_empty() && !((sum - 1.0).abs() <= 1e-6) {
+        return Err(RenderError::Number { what: "detector.crosstalk: the sum", value: sum, expected: "1 within 1e-6" });
+    }
     if let Some(readout) = scene.detector.readout_noise
         && !(readout.row_correlation >= 0.0 && readout.row_correlation < 1.0)
     {

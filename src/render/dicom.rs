@@ -42,6 +42,23 @@ pub fn write_dicom(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<()
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
+/// Skew that moves no place by as much, px, is none.
+const LEAST_SKEW_PX: f64 = 0.01;
+
+/// That the geometry tags leave out the skew of K, where there is some.
+#[must_use]
+pub fn unsaid_skew(view: &View) -> Option<String> {
+    let k = &view.intrinsics;
+    let rows = f64::from(view.size_px[1]);
+    let moved_px = (k.skew / k.fy).abs() * (k.cy.abs() + rows);
+    (moved_px > LEAST_SKEW_PX).then(|| {
+        format!(
+            "K has a skew of {} px, for which DICOM's geometry tags have no word: they describe the camera without it, Image Comments hold K as it is",
+            k.skew
+        )
+    })
+}
+
 fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, String> {
     let page = rendered.pages.first().ok_or("it has no page")?;
     let (relationship, sign, wanted) = match rendered.quantity {
@@ -166,6 +183,17 @@ fn short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{Intrinsics, Rigid};
+
+    #[test]
+    fn a_skew_that_the_tags_leave_out_is_said() {
+        let said = |skew: f64| {
+            let intrinsics = Intrinsics { fx: 250.0, fy: 250.0, skew, cx: 23.3, cy: 17.1 };
+            unsaid_skew(&View { size_px: [48, 36], intrinsics, camera_from_lps: Rigid::IDENTITY })
+        };
+        assert!(said(60.0).is_some_and(|words| words.contains("skew of 60 px")) && said(-60.0).is_some());
+        assert_eq!([said(0.0), said(1e-9)], [None, None]);
+    }
 
     #[test]
     fn a_dark_image_uses_the_bits_that_there_are() {

@@ -55,7 +55,7 @@ pub mod ways;
 pub mod words;
 mod write;
 
-pub use dicom::write_dicom;
+pub use dicom::{unsaid_skew, write_dicom};
 pub use explain::explain_unseen;
 pub use guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 pub use plan::Plan;

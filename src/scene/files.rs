@@ -142,6 +142,18 @@ pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, SceneErro
 
 /// [`read_json`] for bytes at hand.
 pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, SceneError> {
-    let json = |JsonFault { place, detail }| SceneError::Json { path: path.to_owned(), place, detail };
+    let json = |JsonFault { place, detail }| {
+        let detail = if is_kindless(&place, &detail) { format!("{detail}; {KINDS}") } else { detail };
+        SceneError::Json { path: path.to_owned(), place, detail }
+    };
     json::parse_json(bytes).map_err(json)
+}
+
+/// What an object of a scene is.
+const KINDS: &str = "an object has one key, one of ct, mesh, voxels, sphere, ellipsoid, box, cylinder, robot, which holds all the others";
+
+/// Whether an object of a scene has no kind, two of them, or only the name of one: of which the reader says no more than what sign it missed.
+fn is_kindless(place: &str, detail: &str) -> bool {
+    let is_object = place.starts_with("objects[") && place.matches('.').count() <= 1;
+    is_object && ["expected value", "key must be", "unit variant", "invalid type"].iter().any(|words| detail.contains(words))
 }

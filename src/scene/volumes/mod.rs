@@ -2,8 +2,8 @@
 //! process decodes.
 //!
 //! ```text
-//! parent: source (which files?) ─ series (which slices, in which order?)          ┐ exchange
-//! helper: nifti · nrrd, metaimage → header_file · ct_slice, slices ─ voxels ─ head ┘
+//! parent: source (which files?) ─ series (which slices, in which order?), one_scan           ┐ exchange
+//! helper: nifti · nrrd, metaimage → header_file · ct_slice, slices, rescales ─ voxels ─ head ┘
 //! ```
 
 mod ct_slice;
@@ -14,7 +14,9 @@ mod label_table;
 mod metaimage;
 mod nifti;
 mod nrrd;
+mod one_scan;
 mod reorder;
+mod rescales;
 mod series;
 mod slices;
 mod source;

@@ -14,10 +14,24 @@ use crate::foreign::Limits;
 /// What the header takes in the file; NIfTI-2's is longer.
 const HEADER_BYTES: usize = 348;
 const NIFTI_2_BYTES: i32 = 540;
+/// Where the header ends, and says what it is: voxels follow, or are in another file.
+const MAGICS: [&[u8]; 2] = [b"n+1\0", b"ni1\0"];
 /// Numbers of axes that the standard knows.
 const AXES: std::ops::RangeInclusive<i16> = 1..=7;
 /// A share by which sizes of voxels may differ from each other: they are rounded to single precision, and some tools to three digits.
 const SAME_SPACING: f64 = 0.01;
+
+/// Whether a file that begins with these bytes is NIfTI-1, compressed or not.
+pub(super) fn is_nifti(head: &[u8]) -> bool {
+    let is_header = |bytes: &[u8]| bytes.get(HEADER_BYTES - 4..HEADER_BYTES).is_some_and(|magic| MAGICS.contains(&magic));
+    if !head.starts_with(&[0x1f, 0x8b]) {
+        return is_header(head);
+    }
+    // The head of a compressed file ends within its stream: what came out until then is there all the same.
+    let mut bytes = Vec::new();
+    let _ = flate2::read::GzDecoder::new(head).take(HEADER_BYTES as u64).read_to_end(&mut bytes);
+    is_header(&bytes)
+}
 
 /// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`): `start` hears the header, `take` the scaled voxels, i fastest, block by block. sform before
 /// qform before spacing alone; RAS becomes LPS; metres and microns become mm.

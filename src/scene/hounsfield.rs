@@ -171,16 +171,16 @@ pub(super) fn heard(ct: &VolumeFile) -> Heard {
 /// What to say of many values where no matter is. One or two are padding, and what lies between padding and matter an interpolation left at
 /// its edge: fewer voxels than the padding has, and air stays where it is.
 fn damage(below: &Below, spread: &Spread, voxels: usize) -> Option<String> {
-    let others = spread.below - below.usual.min(spread.below);
+    let others = spread.below.saturating_sub(below.usual);
     let is_scaled = (spread.air as f64) < NONE * voxels as f64 && spread.high > TWELVE_BITS_HU;
-    if !(others as f64 > NONE * voxels as f64) || !(others > below.usual || is_scaled) {
-        return None;
-    }
+    let is_damage = others as f64 > NONE * voxels as f64 && (others > below.usual || is_scaled);
     let (count, low, different) = (spread.below, spread.low, below.different);
-    Some(format!(
-        "{count} voxels have {different} different values below {NOTHING_HU} HU (down to {low}), where no matter is: are its stored bits, \
-         byte order and rescale right?"
-    ))
+    is_damage.then(|| {
+        format!(
+            "{count} voxels have {different} different values below {NOTHING_HU} HU (down to {low}), where no matter is: are stored bits, \
+             byte order and rescale right?"
+        )
+    })
 }
 
 /// What to say where air is no air by its number.

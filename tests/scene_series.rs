@@ -270,11 +270,11 @@ fn an_enhanced_ct_is_read_as_its_slices_are() {
 #[test]
 fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
     type Change = fn(&mut Vec<InMemDicomObject>);
-    let put_in = |change: Change| {
+    fn changed(change: Change) -> Vec<InMemDicomObject> {
         let mut slices = slices();
         change(&mut slices);
         slices
-    };
+    }
     let mut cases = 0;
     for (change, words) in [
         ((|s| put(&mut s[4], tags::PATIENT_ID, VR::LO, "PFRIEMK-78")) as Change, "its slices are of 2 patients"),
@@ -293,7 +293,7 @@ fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
             "2 postures of the patient (0018,5100)",
         ),
     ] {
-        let error = refused(&put_in(change));
+        let error = refused(&changed(change));
         assert!(error.contains(words), "{words}: {error}");
         cases += 1;
     }
@@ -310,7 +310,7 @@ fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
         said
     };
     // Slices that overlap, and a word that is left out of one: nothing to say.
-    let usual = put_in(|s| {
+    let usual = changed(|s| {
         for (k, slice) in s.iter_mut().enumerate() {
             put(slice, tags::SLICE_THICKNESS, VR::DS, "6");
             put(slice, tags::SPACING_BETWEEN_SLICES, VR::DS, "5");

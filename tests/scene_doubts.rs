@@ -42,6 +42,13 @@ fn a_ct_that_hardly_is_one_is_said_by_name() {
         (usual, 1.0, &(|index| hu(index) + 1024.0) as &dyn Fn(usize) -> f32, "not HU", "rescale of -1024 left out?"),
         (usual, 1.0, &|index| (hu(index) + 1000.0) / 1000.0, "not HU", "densities"),
         (usual, 1.0, &|index| (index * 37 % 256) as f32, "not HU", "grey levels of 8 bits?"),
+        (
+            usual,
+            1.0,
+            &|index| f32::from((hu(index) as i16).swap_bytes()),
+            "not HU",
+            "have 2 different values below -1200 HU (down to -31741)",
+        ),
         ([8, 8, 1], 1.0, &hu, "single slice", "one slice only"),
         (usual, 5.0, &hu, "coarse CT", "voxels of 5.0 mm"),
     ] {
@@ -51,5 +58,5 @@ fn a_ct_that_hardly_is_one_is_said_by_name() {
         assert!(!sentence.contains('\n'), "{sentence}");
         cases += 1;
     }
-    assert_eq!(cases, 5);
+    assert_eq!(cases, 6);
 }

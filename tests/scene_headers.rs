@@ -5,8 +5,9 @@ use std::process::Command;
 
 use glam::DVec3;
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::{VolumeFile, read_volume};
+use sidecarm::scene::{VolumeFile, read_volume, read_volume_facts};
 
+use crate::scene_support::NiftiFile;
 use crate::volume_files::{Sample, affine, gzip, write, zlib};
 
 const LPS: [f64; 3] = [1.0, 1.0, 1.0];
@@ -201,4 +202,140 @@ fn bombs_are_refused_through_the_helper() {
     assert_eq!(cases, 4);
     write(&at("good.nrrd"), &[nrrd(END).as_bytes(), &sample().little()]);
     assert_eq!(run("good.nrrd").0, Some(0), "control");
+}
+
+/// Warnings about the volume at `path`, each with its kind.
+fn warned(path: &Path) -> Vec<String> {
+    let reporter = Reporter::silent();
+    read_volume(path, &reporter).unwrap_or_else(|error| panic!("{error}"));
+    reporter.warnings().into_iter().map(|(kind, counted)| format!("{kind}: {}", counted.latest)).collect()
+}
+
+/// A type that is too narrow reads half of a file as noise, and what it left behind passed in most formats without a word.
+#[test]
+fn what_follows_the_voxels_is_said_in_every_format() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    sample().nifti(&at("a.nii"));
+    let nifti = std::fs::read(at("a.nii")).expect("bytes");
+    let raw = nrrd(END);
+    let zipped = raw.replace("raw", "gzip");
+    let skipping = raw.replace("endian", "line skip: 1\nendian");
+    let detached = raw.replace("endian", "data file: c.raw\nendian");
+    let meta = sample().metaimage_header("");
+    let meta_zipped = local(&sample().metaimage_header("CompressedData = True\n"));
+    let mut cases = 0;
+    for (more, words) in [
+        (vec![], ""),
+        (vec![0; 1], "1 bytes follow the voxels: does the header say their size and type right?"),
+        (vec![7; 9000], "9000 bytes follow the voxels: does"),
+        (
+            vec![0; 420],
+            "420 bytes follow the voxels, which is what they would fill with 4 bytes each instead of 2: the type (Int16)",
+        ),
+    ] {
+        let voxels = [&sample().little()[..], &more].concat();
+        write(&at("a.nii"), &[&nifti, &more]);
+        write(&at("a.nii.gz"), &[&gzip(&[&nifti[..], &more].concat())]);
+        write(&at("a.nrrd"), &[raw.as_bytes(), &voxels]);
+        write(&at("b.nrrd"), &[zipped.as_bytes(), &gzip(&voxels)]);
+        write(&at("c.nrrd"), &[skipping.as_bytes(), b"a line\n", &voxels]);
+        write(&at("c.nhdr"), &[detached.as_bytes()]);
+        write(&at("c.raw"), &[&voxels]);
+        write(&at("a.mha"), &[local(&meta).as_bytes(), &voxels]);
+        write(&at("b.mha"), &[meta_zipped.as_bytes(), &zlib(&voxels)]);
+        write(&at("c.mhd"), &[meta.as_bytes(), b"ElementDataFile = c.raw\n"]);
+        for name in ["a.nii", "a.nii.gz", "a.nrrd", "b.nrrd", "c.nrrd", "c.nhdr", "a.mha", "b.mha", "c.mhd"] {
+            let said = warned(&at(name));
+            match said.as_slice() {
+                [] => assert!(more.is_empty(), "{name}: nothing said of {}", more.len()),
+                [only] => assert!(!more.is_empty() && only.starts_with("more bytes: ") && only.contains(words), "{name}: {only}"),
+                _ => panic!("{name}: {said:?}"),
+            }
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 36);
+    // Behind a stream that has ended, and in a text, where only white space is nothing.
+    write(&at("b.mha"), &[meta_zipped.as_bytes(), &zlib(&sample().little()), b"more"]);
+    assert!(warned(&at("b.mha"))[0].contains("4 bytes follow the compressed voxels"));
+    let text = raw.replace("raw", "text");
+    let numbers: String = sample().hu.iter().map(|hu| format!("{hu}\n")).collect();
+    write(&at("t.nrrd"), &[text.as_bytes(), numbers.as_bytes(), b" \r\n\n"]);
+    assert_eq!(warned(&at("t.nrrd")), Vec::<String>::new(), "control");
+    write(&at("t.nrrd"), &[text.as_bytes(), numbers.as_bytes(), b"5 6\n"]);
+    assert!(warned(&at("t.nrrd"))[0].contains("2 numbers follow the voxels"));
+}
+
+#[test]
+fn nifti_without_its_end_or_axes_and_sizes_that_contradict_are_said_plainly() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.nii");
+    let good = NiftiFile::int16([2, 2, 2], &[40; 8]);
+    let refused = |bytes: &[u8]| {
+        write(&path, &[bytes]);
+        read(&path).expect_err("refused")
+    };
+    let zipped = gzip(&good.bytes());
+    let error = refused(&zipped[..zipped.len() - 8]);
+    assert!(error.contains("cut short behind the last of 8 voxels"), "{error}");
+    for length in [0, 10] {
+        let error = refused(&good.bytes()[..length]);
+        assert!(error.contains("no NIfTI-1 header (it ends too early)"), "{error}");
+    }
+    for big_endian in [false, true] {
+        let mut file = NiftiFile { big_endian, ..good.clone() };
+        file.dim[0] = 8;
+        let error = refused(&file.bytes());
+        assert!(error.contains("8 axes (dim[0]), expected 3"), "{error}");
+    }
+    let remarks = |pixdim: [f32; 3]| {
+        let [i, j, k] = pixdim;
+        let file = NiftiFile { pixdim: [1.0, i, j, k, 1.0, 1.0, 1.0, 1.0], ..good.clone() };
+        write(&path, &[&file.bytes()]);
+        read_volume_facts(&path).expect("good").remarks
+    };
+    for alike in [[1.0; 3], [1.0, 1.005, 1.0], [0.0; 3]] {
+        assert_eq!(remarks(alike), Vec::<String>::new(), "{alike:?}");
+    }
+    let said = remarks([1.0, 2.0, 1.0]);
+    assert!(said.len() == 1 && said[0].contains("1.0000 units long along axis 2 by the sform and 2.0000 by pixdim"), "{said:?}");
+}
+
+#[test]
+fn segments_in_a_layer_that_the_file_does_not_have_are_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.seg.nrrd");
+    let segment = |number: u32, layer: u32| {
+        format!("Segment{number}_LabelValue:=1\nSegment{number}_Name:=part {number}\nSegment{number}_Layer:={layer}\n")
+    };
+    let named = |layer: u32| {
+        write(&path, &[nrrd(&format!("{}{}{END}", segment(0, 0), segment(1, layer))).as_bytes(), &sample().little()]);
+        (read(&path).expect("good").label_names.len(), warned(&path))
+    };
+    assert_eq!(named(0), (2, Vec::new()), "control");
+    let (names, said) = named(1);
+    assert!(
+        names == 1 && said.len() == 1 && said[0].starts_with("labels: ") && said[0].contains("1 segments lie in a layer"),
+        "{said:?}"
+    );
+}
+
+/// `render` read what `info` did not know, where it had another ending.
+#[test]
+fn info_knows_a_volume_by_its_content() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let nifti = NiftiFile::int16([2, 2, 2], &[40; 8]).bytes();
+    let info = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        write(&path, &[bytes]);
+        let output = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("info").arg(&path).output().expect("starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let meta = [local(&sample().metaimage_header("")).as_bytes(), &sample().little()].concat();
+    for (name, bytes, format) in [("a.dat", nifti.clone(), "NIfTI"), ("b", gzip(&nifti), "NIfTI"), ("c.csv", meta, "MetaImage")] {
+        let (code, words) = info(name, &bytes);
+        assert!(code == Some(0) && words.contains(format), "{name}: {code:?} {words}");
+    }
+    assert_ne!(info("d.dat", &nifti[..340]).0, Some(0), "control");
 }

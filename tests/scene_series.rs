@@ -266,6 +266,93 @@ fn an_enhanced_ct_is_read_as_its_slices_are() {
     assert_eq!(volume.values, sample.hu.iter().map(|hu| f32::from(*hu)).collect::<Vec<_>>());
 }
 
+/// Slices of one series by its number may be those of two patients, of two scans, or half of a scan: all of that was drawn without a word.
+#[test]
+fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
+    type Change = fn(&mut Vec<InMemDicomObject>);
+    fn changed(change: Change) -> Vec<InMemDicomObject> {
+        let mut slices = slices();
+        change(&mut slices);
+        slices
+    }
+    let mut cases = 0;
+    for (change, words) in [
+        ((|s| put(&mut s[4], tags::PATIENT_ID, VR::LO, "PFRIEMK-78")) as Change, "its slices are of 2 patients"),
+        (
+            |s| {
+                s.iter_mut().for_each(|slice| put(slice, tags::FRAME_OF_REFERENCE_UID, VR::UI, "2.25.41"));
+                put(&mut s[3], tags::FRAME_OF_REFERENCE_UID, VR::UI, "2.25.42");
+            },
+            "2 frames of reference (0020,0052)",
+        ),
+        (
+            |s| {
+                s.iter_mut().for_each(|slice| put(slice, tags::PATIENT_POSITION, VR::CS, "HFS"));
+                put(&mut s[1], tags::PATIENT_POSITION, VR::CS, "FFP");
+            },
+            "2 postures of the patient (0018,5100)",
+        ),
+    ] {
+        let error = refused(&changed(change));
+        assert!(error.contains(words), "{words}: {error}");
+        cases += 1;
+    }
+    let said = |slices: &[InMemDicomObject]| {
+        let folder = tempfile::tempdir().expect("a folder");
+        save_series(slices, folder.path());
+        let reporter = Reporter::silent();
+        read_volume(folder.path(), &reporter).unwrap_or_else(|error| panic!("{error}"));
+        let said: Vec<String> =
+            reporter.warnings().into_iter().map(|(kind, counted)| format!("{kind}: {}", counted.latest)).collect();
+        for word in ["Quaxwelk", "Annegrund", "PFRIEMK", "2.25", "7777777"] {
+            assert!(!said.concat().contains(word), "{word}: {said:?}");
+        }
+        said
+    };
+    // Slices that overlap, and a word that is left out of one: nothing to say.
+    let usual = changed(|s| {
+        for (k, slice) in s.iter_mut().enumerate() {
+            put(slice, tags::SLICE_THICKNESS, VR::DS, "6");
+            put(slice, tags::SPACING_BETWEEN_SLICES, VR::DS, "5");
+            put(slice, tags::INSTANCE_NUMBER, VR::IS, &(9 - k).to_string());
+            put(slice, tags::STUDY_INSTANCE_UID, VR::UI, "2.25.51");
+            put(slice, tags::PATIENT_POSITION, VR::CS, "HFS");
+        }
+        s[2].take(tags::PATIENT_POSITION);
+        s[3].take(tags::PATIENT_ID);
+    });
+    assert_eq!(said(&usual), Vec::<String>::new(), "the control");
+    for (change, kind, words) in [
+        ((|s| put(&mut s[4], tags::STUDY_INSTANCE_UID, VR::UI, "2.25.52")) as Change, "several studies", "of 2 studies"),
+        (|s| put(&mut s[4], tags::SOP_INSTANCE_UID, VR::UI, "2.25.1001"), "same image", "1 of its 5 slices are the same image"),
+        (|s| put(&mut s[0], tags::MODALITY, VR::CS, "MR"), "not HU", "1 of 5 files are of another modality"),
+        (
+            |s| put(&mut s[0], tags::IMAGE_TYPE, VR::CS, "DERIVED\\SECONDARY\\AXIAL\\CSA MIP"),
+            "projections",
+            "1 of 5 files are projections",
+        ),
+        (
+            |s| s.iter_mut().for_each(|slice| put(slice, tags::SLICE_THICKNESS, VR::DS, "2.5")),
+            "slices left out",
+            "slices lie 5.000 mm apart, but are 2.500 mm thick (0018,0050)",
+        ),
+        (
+            |s| s.iter_mut().for_each(|slice| put(slice, tags::SPACING_BETWEEN_SLICES, VR::DS, "2.5")),
+            "slices left out",
+            "but lie 2.500 mm apart by their own word (0018,0088)",
+        ),
+        (|s| put(&mut s[2], tags::RESCALE_INTERCEPT, VR::DS, "0"), "rescale", "1 of 5 slices jump"),
+    ] {
+        let mut slices = usual.clone();
+        change(&mut slices);
+        let said = said(&slices);
+        let [only] = said.as_slice() else { panic!("{kind}: {said:?}") };
+        assert!(only.starts_with(&format!("{kind}: ")) && only.contains(words), "{words}: {only}");
+        cases += 1;
+    }
+    assert_eq!(cases, 10);
+}
+
 /// Through the program and its helper: `info` of a folder, of a slice, and of a slice whose series is no volume.
 #[test]
 fn info_tells_of_the_series_and_of_nobody() {

@@ -71,6 +71,8 @@ impl Sample {
         let columns = [m.matrix3.x_axis, m.matrix3.y_axis, m.matrix3.z_axis, m.translation];
         let row = |r: usize, sign: f64| columns.map(|column| (sign * column[r]) as f32);
         file.sform = Some([row(0, -1.0), row(1, -1.0), row(2, 1.0)]);
+        let [i, j, k] = self.spacing_mm().map(|mm| mm as f32);
+        file.pixdim = [1.0, i, j, k, 1.0, 1.0, 1.0, 1.0];
         file.write(path);
     }
 

@@ -17,7 +17,7 @@ use serde_json::{Map, Value};
 use crate::acquire::{AcquireError, Fault, is_dicom};
 use crate::regular::{self, NotRegular};
 use crate::reporter::{Reporter, printable};
-use crate::scene::is_ct_slice;
+use crate::scene::{is_ct_slice, is_volume};
 
 use found::Found;
 pub use found::InfoError;
@@ -91,7 +91,7 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
     let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
     let found = if mcap::MAGIC.starts_with(&head[..head.len().min(8)]) && !head.is_empty() {
         logs::examine(path)?
-    } else if [".nii", ".nii.gz", ".mha", ".mhd"].iter().any(|ending| name.ends_with(ending)) || head.starts_with(b"NRRD000") {
+    } else if [".nii", ".nii.gz", ".mha", ".mhd"].iter().any(|ending| name.ends_with(ending)) || is_volume(&head) {
         volumes::examine(path)?
     } else if name.ends_with(".stl") {
         volumes::stl(path)?

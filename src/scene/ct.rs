@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 use super::SceneError;
 use super::builder::Builder;
-use super::hounsfield;
+use super::hounsfield::{self, Heard};
 use super::inpaint::{Ball, inpaint_labels, inpaint_metal};
 use super::label_names::{LabelNames, preset_material};
 use super::matter::{self, Air, Class, Classes, Labelled};
@@ -49,9 +49,12 @@ impl Builder<'_> {
         let source = self.find_volume("path", &file.path)?;
         let path = source.path().to_owned();
         let mut ct = source.read_voxels(self.reporter)?;
-        let (highest_hu, doubts) = hounsfield::doubts(&ct);
+        let Heard { highest_hu, doubts, note } = hounsfield::heard(&ct);
         for (kind, words) in doubts {
             self.reporter.warn(kind, format_args!("{}: {words}", path.display()));
+        }
+        if let Some(words) = note {
+            self.reporter.note(format_args!("{}: {words}", path.display()));
         }
         if !(highest_hu <= MOST_HU) {
             return Err(self.value(

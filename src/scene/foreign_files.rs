@@ -51,7 +51,10 @@ fn decode_mesh(
     limits: &Limits,
     take: &mut dyn FnMut(&Triangle) -> Result<(), String>,
 ) -> Result<(), String> {
-    let damaged = |error: std::io::Error| format!("not a readable STL ({error})");
+    let damaged = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::UnexpectedEof => "not a readable STL (it ends too early); export it again".to_owned(),
+        _ => format!("not a readable STL ({error})"),
+    };
     let length = file.metadata().map_err(damaged)?.len();
     let mut reader = std::io::BufReader::new(file);
     let mut count = 0u64;
@@ -194,7 +197,7 @@ mod tests {
         };
         assert_eq!(triangles(&binary(3, 3)), Ok(3));
         assert!(triangles(&binary(2, 3)).expect_err("one more").contains("2 triangles, but 50 bytes follow"));
-        assert!(triangles(&binary(4, 3)).is_err());
+        assert!(triangles(&binary(4, 3)).expect_err("one less").contains("it ends too early"));
         // Some programs begin the header of a binary file with the word of a text.
         let mut named = binary(3, 3);
         named[..11].copy_from_slice(b"solid robot");

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::density::DensityCurve;
 use super::volumes::VolumeFile;
 
 /// Anything in g/cm³, and any attenuation per cm, is below; without metal, and by how much noise and padding may be negative.
@@ -16,6 +17,14 @@ const INTERCEPT_HU: f32 = 1024.0;
 /// Air, and how far a scanner has it from there: padding is farther off.
 const AIR_HU: f32 = -1000.0;
 const AIR_WITHIN_HU: f32 = 15.0;
+/// Below anything that is reconstructed: noise and the ringing of an interpolation at an edge end above.
+const NOTHING_HU: f32 = -1200.0;
+/// Above bone and what twelve bits hold with an intercept of -1024.
+const TWELVE_BITS_HU: f32 = 3071.0;
+/// Values below [`NOTHING_HU`] are counted by whole numbers down to this; those below count as one.
+const LOWEST_HU: usize = 1 << 16;
+/// Voxels that are counted at once.
+const CHUNK: usize = 1 << 22;
 /// Next to nothing, something, plenty: shares of the voxels.
 const NONE: f64 = 1e-3;
 const SOME: f64 = 0.02;
@@ -36,11 +45,20 @@ struct Spread {
     air_below: usize,
     tissue_above: usize,
     dense: usize,
+    below: usize,
 }
 
 impl Spread {
-    const NOTHING: Self =
-        Self { low: f32::INFINITY, high: f32::NEG_INFINITY, whole: true, air: 0, air_below: 0, tissue_above: 0, dense: 0 };
+    const NOTHING: Self = Self {
+        low: f32::INFINITY,
+        high: f32::NEG_INFINITY,
+        whole: true,
+        air: 0,
+        air_below: 0,
+        tissue_above: 0,
+        dense: 0,
+        below: 0,
+    };
 
     fn with(self, value: f32) -> Self {
         let near = |hu: f32, within: f32| usize::from((value - hu).abs() <= within);
@@ -52,6 +70,7 @@ impl Spread {
             air_below: self.air_below + near(AIR_HU - INTERCEPT_HU, AIR_WITHIN_HU),
             tissue_above: self.tissue_above + near(INTERCEPT_HU, TISSUE_HU),
             dense: self.dense + usize::from(value > DENSE_HU),
+            below: self.below + usize::from(value < NOTHING_HU),
         }
     }
 
@@ -64,17 +83,54 @@ impl Spread {
             air_below: self.air_below + other.air_below,
             tissue_above: self.tissue_above + other.tissue_above,
             dense: self.dense + other.dense,
+            below: self.below + other.below,
         }
     }
 }
 
-/// The highest value of `ct`, and what to doubt about it: a kind and words each.
+/// What the values of a CT say of it.
+pub(super) struct Heard {
+    pub highest_hu: f32,
+    /// What to doubt: a kind and words each.
+    pub doubts: Vec<(&'static str, String)>,
+    /// What to know.
+    pub note: Option<String>,
+}
+
+/// Values below [`NOTHING_HU`] by whole numbers: how many different ones there are, which is the most common, and how many voxels have it.
+struct Below {
+    different: usize,
+    usual_hu: f32,
+    usual: usize,
+}
+
+impl Below {
+    fn of(values: &[f32]) -> Self {
+        let counted = |chunk: &[f32]| {
+            let mut counts = vec![0usize; LOWEST_HU];
+            for value in chunk.iter().filter(|value| **value < NOTHING_HU) {
+                // The cast ends at zero and at the largest number.
+                counts[(-value.round() as usize).min(LOWEST_HU - 1)] += 1;
+            }
+            counts
+        };
+        let none = || vec![0usize; LOWEST_HU];
+        let add = |a: Vec<usize>, b: Vec<usize>| a.iter().zip(&b).map(|(a, b)| a + b).collect::<Vec<usize>>();
+        let counts = values.par_chunks(CHUNK).map(counted).reduce(none, add);
+        let different = counts.iter().filter(|count| **count > 0).count();
+        let (hu, usual) = counts.iter().enumerate().max_by_key(|(_, count)| **count).map_or((0, 0), |(hu, count)| (hu, *count));
+        Self { different, usual_hu: -(hu as f32), usual }
+    }
+}
+
+/// What `ct` says of itself.
 #[must_use]
-pub(super) fn doubts(ct: &VolumeFile) -> (f32, Vec<(&'static str, String)>) {
+pub(super) fn heard(ct: &VolumeFile) -> Heard {
     let spread =
         ct.values.par_iter().fold(|| Spread::NOTHING, |all, value| all.with(*value)).reduce(|| Spread::NOTHING, Spread::and);
     let Spread { low, high, .. } = spread;
     let share = |count: usize| count as f64 / ct.values.len() as f64;
+    let below = (share(spread.below) > NONE).then(|| Below::of(&ct.values));
     // Whole numbers so small may be anything.
     let is_density = (low >= 0.0 && high <= MOST_DENSITY) || (low >= -USUAL_DENSITY && high <= USUAL_DENSITY);
     let is_small = (is_density && !spread.whole) || (low >= 0.0 && high <= MOST_FRACTION);
@@ -93,7 +149,7 @@ pub(super) fn doubts(ct: &VolumeFile) -> (f32, Vec<(&'static str, String)>) {
         // Tissue then lies where air does.
         Some("much lies near -2024 HU, where air is after a rescale of -1024 that was applied twice".to_owned())
     } else {
-        None
+        below.as_ref().and_then(|below| damage(below, &spread, ct.values.len()))
     };
     let mut doubts: Vec<_> = scale.map(|words| ("not HU", words)).into_iter().collect();
     let spacing_mm = ct.spacing_mm;
@@ -108,7 +164,37 @@ pub(super) fn doubts(ct: &VolumeFile) -> (f32, Vec<(&'static str, String)>) {
         let words = format!("voxels of {coarse:.1} mm: thin bone is spread over them and partly counts as soft tissue");
         doubts.push(("coarse CT", words));
     }
-    (high, doubts)
+    let note = below.as_ref().filter(|_| share(spread.air) < NONE).and_then(|below| outside(below, ct.values.len()));
+    Heard { highest_hu: high, doubts, note }
+}
+
+/// What to say of many values where no matter is. One or two are padding, and what lies between padding and matter an interpolation left at
+/// its edge: fewer voxels than the padding has, and air stays where it is.
+fn damage(below: &Below, spread: &Spread, voxels: usize) -> Option<String> {
+    let others = spread.below.saturating_sub(below.usual);
+    let is_scaled = (spread.air as f64) < NONE * voxels as f64 && spread.high > TWELVE_BITS_HU;
+    let is_damage = others as f64 > NONE * voxels as f64 && (others > below.usual || is_scaled);
+    let (count, low, different) = (spread.below, spread.low, below.different);
+    is_damage.then(|| {
+        format!(
+            "{count} voxels have {different} different values below {NOTHING_HU} HU (down to {low}), where no matter is: are stored bits, \
+             byte order and rescale right?"
+        )
+    })
+}
+
+/// What to say where air is no air by its number.
+fn outside(below: &Below, voxels: usize) -> Option<String> {
+    let share = below.usual as f64 / voxels as f64;
+    let is_unknown = f64::from(below.usual_hu) <= DensityCurve::shipped().unknown_at_most_hu;
+    (is_unknown && share > MUCH).then(|| {
+        format!(
+            "no voxel is near -1000 HU, and the {:.0} % at {} HU count as outside of the scan, not as air: pixels that look through them \
+             are invalid; set them to -1000 if they are air",
+            100.0 * share,
+            below.usual_hu
+        )
+    })
 }
 
 #[cfg(test)]
@@ -137,7 +223,7 @@ mod tests {
     #[test]
     fn numbers_that_are_no_hounsfield_units_are_doubted_by_what_they_look_like() {
         let words = |value: &dyn Fn(usize) -> f32| {
-            let (_, found) = doubts(&ct([8, 4, 4], [1.0; 3], value));
+            let found = heard(&ct([8, 4, 4], [1.0; 3], value)).doubts;
             found.iter().map(|(kind, words)| format!("{kind}: {words}")).collect::<Vec<_>>()
         };
         assert_eq!(words(&hu), Vec::<String>::new(), "the control");
@@ -162,9 +248,45 @@ mod tests {
         }
     }
 
+    /// Bits, bytes or a scale read wrong leave values all over the range below air; they passed for padding, one and all.
+    #[test]
+    fn many_values_where_no_matter_is_are_damage_and_padding_is_none() {
+        let words = |value: &dyn Fn(usize) -> f32| {
+            let found = heard(&ct([16, 16, 8], [1.0; 3], value)).doubts;
+            found.into_iter().map(|(_, words)| words).collect::<Vec<_>>()
+        };
+        let noise = |n: usize| (n * 37 % 23) as f32 - 11.0;
+        let padded = |n: usize| [-3024.0, -2000.0, hu(n)][n % 3];
+        // An interpolation between padding and air, and its ringing.
+        let rim = |n: usize| if n.is_multiple_of(16) { -1030.0 - 120.0 * (n / 16 % 18) as f32 } else { padded(3 * n) };
+        let ringing = |n: usize| hu(n) + if n.is_multiple_of(3) { 12.0 * noise(n) } else { 0.0 };
+        for quiet in [&padded as &dyn Fn(usize) -> f32, &rim, &ringing] {
+            assert_eq!(words(quiet), Vec::<String>::new());
+        }
+        let swapped = |n: usize| f32::from(((hu(n) + noise(n)) as i16).swap_bytes());
+        let wrapped = |n: usize| if n.is_multiple_of(40) { -2900.0 + 7.0 * (n / 40 % 19) as f32 } else { hu(n) };
+        let tenfold = |n: usize| 10.0 * (hu(n) + noise(n));
+        let flat_tenfold = |n: usize| if n.is_multiple_of(20) { -8500.0 } else { 10.0 * [-1000.0, 40.0, 900.0][n % 3] };
+        for damaged in [&swapped as &dyn Fn(usize) -> f32, &wrapped, &tenfold, &flat_tenfold] {
+            let found = words(damaged);
+            assert!(found.len() == 1 && found[0].contains("different values below -1200 HU"), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn air_that_is_padding_by_its_number_is_noted() {
+        let note = |value: &dyn Fn(usize) -> f32| heard(&ct([8, 8, 8], [1.0; 3], value)).note;
+        let air = |hu: f32| move |n: usize| [hu, hu, hu, 40.0, 50.0, 900.0][n % 6];
+        let words = note(&air(-3024.0)).expect("noted");
+        assert!(words.contains("50 % at -3024 HU count as outside of the scan"), "{words}");
+        assert_eq!(note(&air(-1000.0)), None, "the control");
+        assert_eq!(note(&air(-1300.0)), None, "not known to be padding");
+        assert_eq!(note(&|n| if n.is_multiple_of(3) { -3024.0 } else { hu(n) }), None, "air beside padding");
+    }
+
     #[test]
     fn a_slice_and_thick_slices_are_said() {
-        let kinds = |size, spacing_mm| doubts(&ct(size, spacing_mm, hu)).1.iter().map(|(kind, _)| *kind).collect::<Vec<_>>();
+        let kinds = |size, spacing_mm| heard(&ct(size, spacing_mm, hu)).doubts.iter().map(|(kind, _)| *kind).collect::<Vec<_>>();
         assert_eq!(kinds([8, 8, 2], [0.7, 0.7, 3.0]), Vec::<&str>::new(), "the control");
         assert_eq!(kinds([8, 8, 1], [0.7, 0.7, 3.0]), ["single slice"]);
         assert_eq!(kinds([64, 1, 1], [0.7, 0.7, 3.0]), Vec::<&str>::new());

@@ -23,7 +23,7 @@ impl LabelNames {
     /// Of a CSV file with a header: the number in a column `id` (or `label`, `index`), the name in `structure` (or `name`).
     ///
     /// # Errors
-    /// One sentence, when a column or a number is missing.
+    /// One sentence, when a column or a number is missing, or a number has two names.
     pub fn from_csv(source: &str, text: &str) -> Result<Self, String> {
         let mut lines = unmarked(text).lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let header: Vec<String> =
@@ -33,16 +33,22 @@ impl LabelNames {
             found.ok_or_else(|| format!("no column {} in its first line; expected for example id,structure", names.join(" or ")))
         };
         let (id, name) = (column(&["id", "label", "index"])?, column(&["structure", "name"])?);
-        let mut names = Vec::new();
+        let mut names: BTreeMap<u32, String> = BTreeMap::new();
         for (at, line) in lines {
             let row = cells_of(line);
             let number = row.get(id).and_then(|cell| cell.parse().ok());
             let (Some(number), Some(name)) = (number, row.get(name)) else {
                 return Err(format!("line {}: '{line}' is no number and name of a label", at + 1));
             };
-            names.push((number, name.to_owned()));
+            // The same line twice says nothing else.
+            if let Some(other) = names.insert(number, name.to_owned()).filter(|other| other != name) {
+                return Err(format!(
+                    "line {}: label {number} is called '{name}', and '{other}' before; keep one of them",
+                    at + 1
+                ));
+            }
         }
-        Ok(Self::new(source, names))
+        Ok(Self { source: source.to_owned(), names })
     }
 
     /// All of them, ascending.
@@ -121,6 +127,9 @@ mod tests {
     fn a_csv_without_its_columns_is_refused_with_the_line() {
         assert!(LabelNames::from_csv("a", "number,structure\n1,spleen\n").expect_err("no id").contains("id or label"));
         assert!(LabelNames::from_csv("a", "id,structure\n1,spleen\nx,liver\n").expect_err("no number").contains("line 3"));
+        let twice = LabelNames::from_csv("a", "id,structure\n1,spleen\n2,hip\n1,liver\n").expect_err("twice");
+        assert!(twice.contains("line 4: label 1 is called 'liver', and 'spleen' before"), "{twice}");
+        assert!(LabelNames::from_csv("a", "id,structure\n1,spleen\n1,spleen\n2,spleen\n").is_ok(), "the same again");
     }
 
     #[test]

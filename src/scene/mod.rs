@@ -44,6 +44,6 @@ pub use load::{input_files, load, load_labelled, load_text, load_text_with};
 pub use mesh::{mesh_unit_doubt, read_closed_triangles};
 pub use model::{InputFile, Robot, Scene};
 pub use volumes::{
-    PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,
-    write_nifti,
+    PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, is_volume, read_volume,
+    read_volume_facts, write_nifti,
 };

@@ -29,8 +29,23 @@ pub(super) struct CtHead {
     pub series: String,
     /// The number of the series on its console.
     pub series_number: Option<i32>,
+    /// What tells its scan from another.
+    pub scan: ScanHead,
     /// Its slices, or what one of them lacks.
     pub slices: Result<Vec<SliceHead>, String>,
+}
+
+/// What the files of one scan have in common, names by a hash; `None` where a file does not say it.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct ScanHead {
+    pub patient: Option<String>,
+    pub study: Option<String>,
+    pub frame_of_reference: Option<String>,
+    pub patient_position: Option<String>,
+    /// It says that it is no CT, though stored as one.
+    pub is_other_modality: bool,
+    /// It says that it shows the brightest or darkest along a depth, or a surface.
+    pub is_projection: bool,
 }
 
 /// One slice.
@@ -48,6 +63,12 @@ pub(super) struct SliceHead {
     pub along_column: DVec3,
     /// From column to column, and from row to row.
     pub pitch_mm: [f64; 2],
+    /// Its thickness by its own word.
+    pub thickness_mm: Option<f64>,
+    /// How far it lies from the next by its own word.
+    pub between_mm: Option<f64>,
+    /// Its number; none where several are in one file.
+    pub number: Option<i32>,
 }
 
 /// Classes of one slice a file.
@@ -74,14 +95,37 @@ pub(super) fn file_head(bytes: &[u8]) -> FileHead {
     if !is_multi && !SINGLE.contains(&class.as_str()) {
         return FileHead::Other;
     }
-    let image_type = object.get(tags::IMAGE_TYPE).and_then(|element| element.to_multi_str().ok());
-    if image_type.is_some_and(|terms| terms.iter().any(|term| term.trim_matches([' ', '\0']) == "LOCALIZER")) {
+    if terms(&object, tags::IMAGE_TYPE).iter().any(|term| term == "LOCALIZER") {
         return FileHead::Localizer;
     }
     let series = text(&object, tags::SERIES_INSTANCE_UID).unwrap_or_default();
     let series_number = object.get(tags::SERIES_NUMBER).and_then(|element| element.to_int().ok());
     let slices = if is_multi { slices_of_many(&object) } else { slice(&object, 0).map(|slice| vec![slice]) };
-    FileHead::Ct(CtHead { series: key(&series), series_number, slices })
+    FileHead::Ct(CtHead { series: key(&series), series_number, scan: scan(&object), slices })
+}
+
+fn scan(object: &InMemDicomObject) -> ScanHead {
+    let hashed = |tag: Tag| text(object, tag).filter(|text| !text.is_empty()).map(|text| key(&text));
+    let frame_type = terms(group(object, 0, tags::CT_IMAGE_FRAME_TYPE_SEQUENCE), tags::FRAME_TYPE);
+    ScanHead {
+        patient: hashed(tags::PATIENT_ID),
+        study: hashed(tags::STUDY_INSTANCE_UID),
+        frame_of_reference: hashed(tags::FRAME_OF_REFERENCE_UID),
+        patient_position: hashed(tags::PATIENT_POSITION),
+        is_other_modality: text(object, tags::MODALITY).is_some_and(|modality| !matches!(modality.as_str(), "CT" | "")),
+        is_projection: terms(object, tags::IMAGE_TYPE).iter().chain(&frame_type).any(|term| is_projection(term)),
+    }
+}
+
+/// Terms of an image type that mean a projection, by the standard and as vendors write them (`CSA MIP`).
+fn is_projection(term: &str) -> bool {
+    let is_word = |word: &str| matches!(word, "MIP" | "MINIP" | "VRT" | "SSD");
+    matches!(term, "MAX_IP" | "MIN_IP" | "VOLUME_RENDER" | "SURFACE_RENDER" | "PROJECTION") || term.split([' ', '_']).any(is_word)
+}
+
+fn terms(object: &InMemDicomObject, tag: Tag) -> Vec<String> {
+    let found = object.get(tag).and_then(|element| element.to_multi_str().ok());
+    found.map(|terms| terms.iter().map(|term| term.trim_matches([' ', '\0']).to_owned()).collect()).unwrap_or_default()
 }
 
 /// A name of the file's own, so that nobody can read it but everybody can compare it.
@@ -98,7 +142,8 @@ fn slices_of_many(object: &InMemDicomObject) -> Result<Vec<SliceHead>, String> {
     if !(1..=MOST_SLICES).contains(&count) {
         return Err(format!("has {count} frames (0028,0008), expected 1 to {MOST_SLICES}"));
     }
-    (0..count as usize).map(|frame| slice(object, frame)).collect()
+    // The number is that of the file.
+    (0..count as usize).map(|frame| slice(object, frame).map(|slice| SliceHead { number: None, ..slice })).collect()
 }
 
 /// The item that holds what is said of `frame` under `sequence`: its own, else that of all frames; the data set itself where there are no
@@ -135,6 +180,11 @@ fn slice(object: &InMemDicomObject, frame: usize) -> Result<SliceHead, String> {
         return Err(format!("has an image orientation (0020,0037) whose axes are not perpendicular (cosine {cosine:.4})"));
     }
     let name = text(object, tags::SOP_INSTANCE_UID).unwrap_or_default();
+    // Some write zero or a sign for what they do not know.
+    let length_mm = |tag: Tag| {
+        let found = measures.get(tag).and_then(|element| element.to_float64().ok());
+        found.map(f64::abs).filter(|mm| mm.is_finite() && *mm > 0.0)
+    };
     Ok(SliceHead {
         image: key(&format!("{name}/{frame}")),
         size_px,
@@ -142,6 +192,9 @@ fn slice(object: &InMemDicomObject, frame: usize) -> Result<SliceHead, String> {
         along_row,
         along_column,
         pitch_mm: [between_columns, between_rows],
+        thickness_mm: length_mm(tags::SLICE_THICKNESS),
+        between_mm: length_mm(tags::SPACING_BETWEEN_SLICES),
+        number: object.get(tags::INSTANCE_NUMBER).and_then(|element| element.to_int().ok()),
     })
 }
 

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 
 use super::head::{VolumeHead, VoxelSummary};
-use super::voxels::{Encoding, VoxelLayout, cut_short, read_voxels};
+use super::voxels::{Encoding, VoxelLayout, cut_short, read_voxels, surplus};
 use crate::foreign::Limits;
 
 /// What a header says: enough to read the voxels.
@@ -35,8 +35,8 @@ pub(super) struct DataPlace {
 const MOST_HEADER_BYTES: u64 = 1 << 20;
 /// A text of a header that may be repeated in a sentence has at most so many characters.
 const MOST_SHOWN: usize = 24;
-/// Bytes after the voxels that nothing is said about: padding to a block.
-const PADDING_BYTES: u64 = 4096;
+/// Bytes after a compressed stream that are counted, at most.
+const MOST_BEHIND: u64 = 1 << 20;
 
 /// What the header of `file` says, as `plan_of` reads it.
 ///
@@ -51,9 +51,9 @@ pub(super) fn plan_of_file(
     let file_bytes = file.metadata().map_err(unreadable)?.len();
     let mut bytes = Vec::new();
     (&mut file).take(MOST_HEADER_BYTES).read_to_end(&mut bytes).map_err(unreadable)?;
-    let mut plan = plan_of(&bytes, limits)?;
+    let plan = plan_of(&bytes, limits)?;
     if plan.data.file.is_none() {
-        check_fits(&mut plan, file_bytes)?;
+        check_fits(&plan, file_bytes)?;
     }
     Ok(plan)
 }
@@ -90,7 +90,7 @@ pub(super) fn numbers<T: std::str::FromStr>(key: &str, text: &str, count: usize)
 ///
 /// # Errors
 /// One sentence.
-fn check_fits(plan: &mut HeaderPlan, file_bytes: u64) -> Result<(), String> {
+fn check_fits(plan: &HeaderPlan, file_bytes: u64) -> Result<(), String> {
     if plan.layout.encoding != Encoding::Raw {
         return Ok(());
     }
@@ -98,14 +98,6 @@ fn check_fits(plan: &mut HeaderPlan, file_bytes: u64) -> Result<(), String> {
     let needed = data_bytes.saturating_add(plan.data.skip_bytes).saturating_add(plan.data.skip_decoded_bytes);
     if file_bytes < needed {
         return Err(format!("cut short: its header promises {needed} bytes, the file has {file_bytes}; copy it again"));
-    }
-    let more = file_bytes - needed;
-    if more > PADDING_BYTES && !plan.data.at_end && plan.data.skip_lines == 0 {
-        let words = format!("{more} bytes follow the voxels: does the header say their size and type right?");
-        let remark = (Some("more bytes".to_owned()), words);
-        if !plan.head.remarks.contains(&remark) {
-            plan.head.remarks.push(remark);
-        }
     }
     Ok(())
 }
@@ -120,33 +112,55 @@ pub(super) fn decode_planned(
     start: &mut dyn FnMut(&VolumeHead) -> Result<(), String>,
     take: &mut dyn FnMut(&[f32]) -> Result<(), String>,
 ) -> Result<VoxelSummary, String> {
-    let mut plan = plan.clone();
     let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
     let file_bytes = file.metadata().map_err(unreadable)?.len();
-    check_fits(&mut plan, file_bytes)?;
+    check_fits(plan, file_bytes)?;
     start(&plan.head)?;
     let (voxels, data) = (plan.head.voxels(), &plan.data);
     let from = if data.at_end { file_bytes - voxels * plan.layout.number.bytes() as u64 } else { data.skip_bytes };
     file.seek(SeekFrom::Start(from)).map_err(unreadable)?;
-    let mut stream: Box<dyn BufRead> = Box::new(BufReader::with_capacity(1 << 18, file));
+    let mut stream = BufReader::with_capacity(1 << 18, file);
+    let mut lines_bytes = 0;
     for _ in 0..data.skip_lines {
         // Line by line: there may be no end of one.
-        if stream.skip_until(b'\n').map_err(unreadable)? == 0 {
+        let line_bytes = stream.skip_until(b'\n').map_err(unreadable)? as u64;
+        if line_bytes == 0 {
             return Err(cut_short(&std::io::ErrorKind::UnexpectedEof.into(), 0, voxels));
         }
+        lines_bytes += line_bytes;
     }
     // Headers that mean zlib are found before gzip, too; its first bytes tell them apart.
     let is_gzip = stream.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]);
-    let mut decoded: Box<dyn BufRead> = match plan.layout.encoding {
-        Encoding::Raw | Encoding::Text => stream,
+    let mut decoded: Box<dyn BufRead + '_> = match plan.layout.encoding {
+        Encoding::Raw | Encoding::Text => Box::new(&mut stream),
         Encoding::Gzip | Encoding::Zlib if is_gzip => {
-            Box::new(BufReader::with_capacity(1 << 18, flate2::bufread::MultiGzDecoder::new(stream)))
+            Box::new(BufReader::with_capacity(1 << 18, flate2::bufread::MultiGzDecoder::new(&mut stream)))
         }
-        Encoding::Gzip | Encoding::Zlib => Box::new(BufReader::with_capacity(1 << 18, flate2::bufread::ZlibDecoder::new(stream))),
+        Encoding::Gzip | Encoding::Zlib => {
+            Box::new(BufReader::with_capacity(1 << 18, flate2::bufread::ZlibDecoder::new(&mut stream)))
+        }
     };
     let skipped = std::io::copy(&mut (&mut decoded).take(data.skip_decoded_bytes), &mut std::io::sink());
     if skipped.map_err(|error| cut_short(&error, 0, voxels))? < data.skip_decoded_bytes {
         return Err(cut_short(&std::io::ErrorKind::UnexpectedEof.into(), 0, voxels));
     }
-    read_voxels(&mut decoded, voxels, &plan.layout, take)
+    let mut summary = read_voxels(&mut decoded, voxels, &plan.layout, take)?;
+    drop(decoded);
+    let number = plan.layout.number;
+    match plan.layout.encoding {
+        Encoding::Raw => {
+            let end = from + lines_bytes + data.skip_decoded_bytes + voxels * number.bytes() as u64;
+            summary.remarks.extend(surplus(file_bytes.saturating_sub(end), voxels, number));
+        }
+        // What follows a stream that has ended, and is none of it.
+        Encoding::Zlib if !is_gzip => {
+            let behind = std::io::copy(&mut stream.take(MOST_BEHIND), &mut std::io::sink()).map_err(unreadable)?;
+            if behind > 0 && summary.remarks.is_empty() {
+                let words = format!("{behind} bytes follow the compressed voxels: is it one file?");
+                summary.remarks.push((Some("more bytes".to_owned()), words));
+            }
+        }
+        Encoding::Text | Encoding::Gzip | Encoding::Zlib => {}
+    }
+    Ok(summary)
 }

@@ -2,8 +2,8 @@
 //! process decodes.
 //!
 //! ```text
-//! parent: source (which files?) ─ series (which slices, in which order?)          ┐ exchange
-//! helper: nifti · nrrd, metaimage → header_file · ct_slice, slices ─ voxels ─ head ┘
+//! parent: source (which files?) ─ series (which slices, in which order?), one_scan           ┐ exchange
+//! helper: nifti · nrrd, metaimage → header_file · ct_slice, slices, rescales ─ voxels ─ head ┘
 //! ```
 
 mod ct_slice;
@@ -14,7 +14,9 @@ mod label_table;
 mod metaimage;
 mod nifti;
 mod nrrd;
+mod one_scan;
 mod reorder;
+mod rescales;
 mod series;
 mod slices;
 mod source;
@@ -34,7 +36,7 @@ use head::{VolumeHead, VoxelSummary};
 
 pub(super) use exchange::serve;
 pub use head::{PlacedBy, VolumeFormat};
-pub use source::{VolumeContent, VolumeSource, is_ct_slice};
+pub use source::{VolumeContent, VolumeSource, is_ct_slice, is_volume};
 pub use write_nifti::write_nifti;
 
 /// A volume as its file has it, in `lps` and mm.
@@ -124,7 +126,10 @@ impl VolumeSource {
         }
         if summary.not_finite > 0 {
             let (bad, all) = (summary.not_finite, head.voxels());
-            let detail = format!("{bad} of {all} voxels are NaN or infinite; replace them (air is -1000 HU) and try again");
+            let detail = format!(
+                "{bad} of {all} voxels are NaN or infinite; replace them (air is -1000 HU in a CT, nothing is 0 in labels and \
+                 fractions) and try again"
+            );
             return Err(SceneError::Volume { path: self.path().to_owned(), detail });
         }
         let spacing_mm = head.spacing_mm();

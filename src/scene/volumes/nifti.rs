@@ -8,12 +8,30 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::head::{PlacedBy, Remark, VolumeFormat, VolumeHead, VoxelSummary, check_place, check_size};
 use super::label_table::label_names;
-use super::voxels::{ByteOrder, Encoding, NumberType, VoxelLayout, cut_short, read_voxels};
+use super::voxels::{ByteOrder, Encoding, NumberType, VoxelLayout, cut_short, read_voxels, surplus};
 use crate::foreign::Limits;
 
 /// What the header takes in the file; NIfTI-2's is longer.
 const HEADER_BYTES: usize = 348;
 const NIFTI_2_BYTES: i32 = 540;
+/// Where the header ends, and says what it is: voxels follow, or are in another file.
+const MAGICS: [&[u8]; 2] = [b"n+1\0", b"ni1\0"];
+/// Numbers of axes that the standard knows.
+const AXES: std::ops::RangeInclusive<i16> = 1..=7;
+/// A share by which sizes of voxels may differ from each other: they are rounded to single precision, and some tools to three digits.
+const SAME_SPACING: f64 = 0.01;
+
+/// Whether a file that begins with these bytes is NIfTI-1, compressed or not.
+pub(super) fn is_nifti(head: &[u8]) -> bool {
+    let is_header = |bytes: &[u8]| bytes.get(HEADER_BYTES - 4..HEADER_BYTES).is_some_and(|magic| MAGICS.contains(&magic));
+    if !head.starts_with(&[0x1f, 0x8b]) {
+        return is_header(head);
+    }
+    // The head of a compressed file ends within its stream: what came out until then is there all the same.
+    let mut bytes = Vec::new();
+    let _ = flate2::read::GzDecoder::new(head).take(HEADER_BYTES as u64).read_to_end(&mut bytes);
+    is_header(&bytes)
+}
 
 /// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`): `start` hears the header, `take` the scaled voxels, i fastest, block by block. sform before
 /// qform before spacing alone; RAS becomes LPS; metres and microns become mm.
@@ -60,7 +78,11 @@ pub(super) fn decode_nifti(
         Endianness::Big => ByteOrder::Big,
     };
     let encoding = if zipped { Encoding::Gzip } else { Encoding::Raw };
-    read_voxels(&mut stream, voxels, &VoxelLayout { number, order, encoding, slope, intercept }, take)
+    let mut summary = read_voxels(&mut stream, voxels, &VoxelLayout { number, order, encoding, slope, intercept }, take)?;
+    if !zipped {
+        summary.remarks.extend(surplus(file_bytes - needed, voxels, number));
+    }
+    Ok(summary)
 }
 
 fn describe(header: &NiftiHeader, size: [usize; 3], number: NumberType) -> Result<VolumeHead, String> {
@@ -87,11 +109,21 @@ fn header_of(stream: &mut dyn Read) -> Result<NiftiHeader, String> {
         format!("no NIfTI-1 header ({error}); expected a NIfTI, NRRD or MetaImage file or a DICOM slice")
     };
     let mut bytes = [0u8; HEADER_BYTES];
-    stream.read_exact(&mut bytes).map_err(|error| none(&error))?;
+    stream.read_exact(&mut bytes).map_err(|error| match error.kind() {
+        std::io::ErrorKind::UnexpectedEof => none(&"it ends too early"),
+        _ => none(&error),
+    })?;
     // Its own size comes first, in either order of bytes; a parser of NIfTI-1 finds nothing but nonsense in the longer one.
     let size = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     if size == NIFTI_2_BYTES || size.swap_bytes() == NIFTI_2_BYTES {
         return Err("this is NIfTI-2; convert it to NIfTI-1 (.nii or .nii.gz)".to_owned());
+    }
+    // The number of axes tells the parser the order of bytes, and one that is none leaves it without words.
+    let axes = i16::from_le_bytes([bytes[40], bytes[41]]);
+    let is_nifti = [size, size.swap_bytes()].contains(&(HEADER_BYTES as i32));
+    if is_nifti && ![axes, axes.swap_bytes()].iter().any(|axes| AXES.contains(axes)) {
+        let axes = if size == HEADER_BYTES as i32 { axes } else { axes.swap_bytes() };
+        return Err(wrong_axes(i64::from(axes)));
     }
     NiftiHeader::from_reader(bytes.as_slice()).map_err(|error| none(&error))
 }
@@ -125,10 +157,14 @@ fn check_kind(header: &NiftiHeader) -> Result<NumberType, String> {
     Ok(number)
 }
 
+fn wrong_axes(axes: i64) -> String {
+    format!("{axes} axes (dim[0]), expected 3: the header is damaged; export it again")
+}
+
 fn checked_size(header: &NiftiHeader) -> Result<[u64; 3], String> {
     let axes = usize::from(header.dim[0]);
     if !(1..=7).contains(&axes) {
-        return Err(format!("{axes} axes, expected 3: the header is damaged"));
+        return Err(wrong_axes(axes as i64));
     }
     let dim = |axis: usize| if axis <= axes { header.dim[axis] } else { 1 };
     let all: Vec<u16> = (1..=7).map(dim).collect();
@@ -170,12 +206,17 @@ fn placement(header: &NiftiHeader, remarks: &mut Vec<Remark>) -> Result<(DAffine
         warn("no orientation", "neither sform nor qform: placed by spacing alone, axes taken as RAS".into());
         (DAffine3::from_scale(spacing), PlacedBy::SpacingOnly)
     };
+    let mut disagree = false;
     if has_sform && header.qform_code > 0 {
         let disagreement_mm = corner_distance(&sform(header), &qform(header), header);
         if !(disagreement_mm <= 1.0) {
             let words = format!("sform and qform disagree by up to {disagreement_mm:.1} units; the sform is used");
             warn("sform and qform", words);
+            disagree = true;
         }
+    }
+    if has_sform && !disagree {
+        remarks.extend(other_spacing(header, &ras_from_voxel).map(|words| (None, words)));
     }
     let unit_mm = match header.xyzt_units & 7 {
         0 | 2 => 1.0,
@@ -189,6 +230,17 @@ fn placement(header: &NiftiHeader, remarks: &mut Vec<Remark>) -> Result<(DAffine
     let lps_from_voxel = DAffine3::from_scale(DVec3::new(-unit_mm, -unit_mm, unit_mm)) * ras_from_voxel;
     check_place(&lps_from_voxel, placed_by.words())?;
     Ok((lps_from_voxel, placed_by))
+}
+
+/// What to say where the sizes of voxels are others than those of the sform; tools that leave them alone write zeros.
+fn other_spacing(header: &NiftiHeader, ras_from_voxel: &DAffine3) -> Option<String> {
+    let stated = [1, 2, 3].map(|axis| f64::from(header.pixdim[axis]).abs());
+    let matrix = ras_from_voxel.matrix3;
+    let placed = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(|axis| axis.length());
+    let differs = |axis: usize| stated[axis] != 0.0 && !((placed[axis] / stated[axis] - 1.0).abs() <= SAME_SPACING);
+    let axis = (0..3).find(|axis| differs(*axis))?;
+    let (placed, stated, axis) = (placed[axis], stated[axis], axis + 1);
+    Some(format!("voxels are {placed:.4} units long along axis {axis} by the sform and {stated:.4} by pixdim; the sform is used"))
 }
 
 fn sform(header: &NiftiHeader) -> DAffine3 {

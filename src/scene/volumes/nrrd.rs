@@ -91,6 +91,7 @@ fn plan_of(header: &Header, limits: &Limits) -> Result<HeaderPlan, String> {
     let layout = layout_of(header)?;
     let (spatial, lps_from_voxel) = placement(header, &sizes)?;
     let size = check_size(spatial.map(|axis| sizes[axis]), limits)?;
+    let (label_names, elsewhere) = segment_names(&header.pairs);
     let mut head = VolumeHead {
         format: VolumeFormat::Nrrd,
         size,
@@ -99,8 +100,15 @@ fn plan_of(header: &Header, limits: &Limits) -> Result<HeaderPlan, String> {
         data_type: format!("{:?}", layout.number),
         unit: "millimetre".to_owned(),
         remarks: Vec::new(),
-        label_names: segment_names(&header.pairs),
+        label_names,
     };
+    if elsewhere > 0 {
+        let words = format!(
+            "{elsewhere} segments lie in a layer beyond the first, and the file has one: their voxels are not in it, and their names \
+             are left out; export the segmentation again, as one label map"
+        );
+        head.remarks.push((Some("labels".to_owned()), words));
+    }
     let (unit_mm, unit) = unit(header)?;
     if unit_mm != 1.0 {
         head.lps_from_voxel = DAffine3::from_scale(DVec3::splat(unit_mm)) * head.lps_from_voxel;
@@ -248,14 +256,18 @@ fn data_place(header: &Header, encoding: Encoding) -> Result<DataPlace, String> 
     Ok(DataPlace { file, at_end, skip_bytes, skip_lines, skip_decoded_bytes })
 }
 
-/// Numbers and names of the segments that 3D Slicer writes into the header of a label volume.
-fn segment_names(pairs: &BTreeMap<String, String>) -> Vec<(u32, String)> {
+/// Numbers and names of the segments that 3D Slicer writes into the header of a label volume, and how many more lie in another layer than the
+/// first: those of one volume are all there.
+fn segment_names(pairs: &BTreeMap<String, String>) -> (Vec<(u32, String)>, usize) {
     let number = |key: &str| -> Option<u32> { pairs.get(key)?.trim().parse().ok() };
     let segment = |key: &str| {
         let prefix = key.strip_suffix("_Name").filter(|prefix| prefix.starts_with("Segment"))?;
-        Some((number(&format!("{prefix}_LabelValue"))?, pairs.get(key)?.trim().to_owned()))
+        let is_elsewhere = number(&format!("{prefix}_Layer")).is_some_and(|layer| layer > 0);
+        Some((is_elsewhere, (number(&format!("{prefix}_LabelValue"))?, pairs.get(key)?.trim().to_owned())))
     };
-    let mut names: Vec<(u32, String)> = pairs.keys().filter_map(|key| segment(key)).collect();
+    let (elsewhere, here): (Vec<_>, Vec<_>) =
+        pairs.keys().filter_map(|key| segment(key)).partition(|(is_elsewhere, _)| *is_elsewhere);
+    let mut names: Vec<(u32, String)> = here.into_iter().map(|(_, name)| name).collect();
     names.sort();
-    names
+    (names, elsewhere.len())
 }

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::ct_slice::{CtHead, FileHead, SliceHead};
 use super::head::{PlacedBy, Remark, VolumeFormat, VolumeHead, check_place, check_size};
+use super::one_scan::{check_one_scan, left_out, same_images};
 use crate::foreign::Limits;
 
 /// A series in order.
@@ -57,13 +58,14 @@ pub(super) fn arrange(
         let all = files.len();
         return Err(format!("{damaged} of {all} DICOM files of the folder are damaged: slices may be missing; copy it again"));
     }
-    let (mut slices, mut places) = (Vec::new(), Vec::new());
+    let (mut slices, mut places, mut of_series) = (Vec::new(), Vec::new(), Vec::new());
     for (file, head) in
         files.iter().enumerate().filter_map(|(index, file)| Some((index, ct(file)?))).filter(|(_, head)| head.series == chosen)
     {
         let heads = head.slices.as_ref().map_err(|lacks| format!("{} {lacks}; export the series again", names(file)))?;
         places.extend((0..heads.len()).map(|slice| (file, slice)));
         slices.extend(heads.iter());
+        of_series.push(head);
     }
     let mut remarks = Vec::new();
     let left_out = files.iter().filter(|file| !matches!(file, FileHead::Ct(_))).count();
@@ -71,8 +73,10 @@ pub(super) fn arrange(
         let localizers = files.iter().filter(|file| matches!(file, FileHead::Localizer)).count();
         remarks.push((None, format!("{left_out} DICOM files that are no slices are left out, {localizers} of them localizers")));
     }
+    remarks.extend(check_one_scan(&of_series)?);
     check_alike(&slices)?;
     let order = order(&slices)?;
+    remarks.extend(same_images(&slices));
     let lps_from_voxel = grid(&order.iter().map(|slice| slices[*slice]).collect::<Vec<_>>(), &mut remarks)?;
     check_place(&lps_from_voxel, PlacedBy::ImagePositions.words())?;
     let [columns, rows] = slices[0].size_px.map(|n| n as u64);
@@ -228,6 +232,7 @@ fn grid(slices: &[&SliceHead], remarks: &mut Vec<Remark>) -> Result<DAffine3, St
         let words = format!("slices lie up to {worst_mm:.3} mm from their places in an even stack of {along_mm:.4} mm: rounding");
         remarks.push((None, words));
     }
+    remarks.extend(left_out(slices, along_mm));
     let [across_mm, down_mm] = first.pitch_mm;
     let matrix3 = DMat3::from_cols(first.along_row * across_mm, first.along_column * down_mm, step);
     Ok(DAffine3 { matrix3, translation: first.first_pixel_in_lps })

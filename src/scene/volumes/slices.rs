@@ -5,6 +5,7 @@ use dicom_object::InMemDicomObject;
 
 use super::ct_slice::group;
 use super::head::{VolumeHead, VoxelSummary};
+use super::rescales::{Rescaled, jumps};
 use crate::acquire::{StoredValue, StoredValues, parse_dicom};
 use crate::foreign::Limits;
 use crate::scene::density::DensityCurve;
@@ -74,6 +75,8 @@ struct Scale {
     is_absent: bool,
     /// The unit is another, by the file's own word.
     is_other: bool,
+    /// The unit is left open, by the file's own word.
+    is_open: bool,
 }
 
 impl Scale {
@@ -85,11 +88,12 @@ impl Scale {
         let number = |tag| scale.get(tag).map(|element| element.to_float64().ok().filter(|number| number.is_finite()));
         let (slope, intercept) = (number(tags::RESCALE_SLOPE), number(tags::RESCALE_INTERCEPT));
         let unit = scale.get(tags::RESCALE_TYPE).and_then(|element| element.to_str().ok());
-        let is_other = unit.is_some_and(|unit| !matches!(unit.trim_matches([' ', '\0']), "HU" | "US" | ""));
+        let unit = unit.as_ref().map_or("", |unit| unit.trim_matches([' ', '\0']));
+        let (is_other, is_open) = (!matches!(unit, "HU" | "US" | ""), unit == "US");
         match (slope, intercept) {
-            (None, None) => Ok(Self { slope: 1.0, intercept: 0.0, is_absent: true, is_other }),
+            (None, None) => Ok(Self { slope: 1.0, intercept: 0.0, is_absent: true, is_other, is_open }),
             (Some(Some(slope)), Some(Some(intercept))) if slope != 0.0 => {
-                Ok(Self { slope, intercept, is_absent: false, is_other })
+                Ok(Self { slope, intercept, is_absent: false, is_other, is_open })
             }
             _ => Err("its rescale slope and intercept (0028,1053 and 0028,1052) are not usable".to_owned()),
         }
@@ -104,7 +108,12 @@ struct Reading {
     beyond: u64,
     absent: u64,
     other_unit: u64,
+    open_unit: u64,
     other: Vec<String>,
+    /// Of the slice that is read: how many pixels are no padding, and their sum as stored.
+    measured: u64,
+    stored_sum: f64,
+    rescaled: Vec<Rescaled>,
 }
 
 impl Reading {
@@ -117,6 +126,9 @@ impl Reading {
             if !(hu <= DensityCurve::shipped().unknown_at_most_hu) {
                 hu = PADDING_HU;
             }
+        } else {
+            self.measured += 1;
+            self.stored_sum += stored.value as f64;
         }
         let value = hu as f32;
         self.summary.count(value);
@@ -126,6 +138,9 @@ impl Reading {
     fn note(&mut self, scale: &Scale) {
         self.absent += u64::from(scale.is_absent);
         self.other_unit += u64::from(scale.is_other);
+        self.open_unit += u64::from(scale.is_open);
+        let stored_mean = std::mem::take(&mut self.stored_sum) / std::mem::take(&mut self.measured) as f64;
+        self.rescaled.push(Rescaled { slope: scale.slope, intercept: scale.intercept, stored_mean });
     }
 
     fn summary(self) -> VoxelSummary {
@@ -147,6 +162,14 @@ impl Reading {
             let words = format!("{} slices are not in HU by their own word (rescale type 0028,1054)", self.other_unit);
             summary.remarks.push(warning(words));
         }
+        if self.open_unit > 0 {
+            let words = format!(
+                "{} slices leave their unit open (rescale type 0028,1054 is US, unspecified): they are taken for HU",
+                self.open_unit
+            );
+            summary.remarks.push((None, words));
+        }
+        summary.remarks.extend(jumps(&self.rescaled));
         if self.padding > 0 {
             let words = format!("{} voxels are padding by the file's own word (0028,0120): not reconstructed", self.padding);
             summary.remarks.push((None, words));

@@ -8,7 +8,7 @@ use super::exchange::{HeaderFormat, Volume, Wanted, read_file_heads, read_header
 use super::header_file::HeaderPlan;
 use super::series::{Series, arrange, more_slices};
 use super::slices::SlicesWanted;
-use super::{metaimage, nrrd};
+use super::{metaimage, nifti, nrrd};
 use crate::acquire::{input_label, is_dicom};
 use crate::foreign::{self, Input, Kind, Limits, OpenFault, OpenFile};
 use crate::image::{sha256_bytes, sha256_file};
@@ -129,6 +129,12 @@ impl VolumeSource {
             }
         }
     }
+}
+
+/// Whether a file that begins with the 512 bytes `head` is a volume by its content, whatever it is called.
+#[must_use]
+pub fn is_volume(head: &[u8]) -> bool {
+    head.starts_with(nrrd::MAGIC) || head.starts_with(metaimage::FIRST_KEYS[0]) || nifti::is_nifti(head)
 }
 
 /// Whether the DICOM file at `path` holds slices of a CT, which are a part of a volume.

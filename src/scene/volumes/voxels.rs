@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, Read};
 
-use super::head::VoxelSummary;
+use super::head::{Remark, VoxelSummary};
 
 /// Types of stored voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -64,8 +64,10 @@ pub(super) struct VoxelLayout {
 
 /// Voxels are read in blocks of this many.
 const BLOCK: usize = 1 << 18;
-/// What may follow the voxels in a compressed stream.
+/// What may follow the voxels in a stream whose length is not known.
 const TRAILING_BYTES: u64 = 1 << 20;
+/// The kind of warning about what follows.
+const MORE_BYTES: &str = "more bytes";
 /// More than any number in a text takes.
 const MOST_DIGITS: usize = 64;
 
@@ -103,14 +105,59 @@ pub(super) fn read_voxels(
         take(&values)?;
         at += count as u64;
     }
-    // To the end of the stream: only there does a compressed one say whether what came out is what went in.
-    if matches!(layout.encoding, Encoding::Gzip | Encoding::Zlib) {
-        let trailing = std::io::copy(&mut stream.take(TRAILING_BYTES + 1), &mut std::io::sink());
-        if trailing.map_err(|error| cut_short(&error, voxels, voxels))? > TRAILING_BYTES {
-            return Err(format!("more than {TRAILING_BYTES} bytes follow the {voxels} voxels: the header is damaged"));
+    match layout.encoding {
+        // The length of the file says what follows.
+        Encoding::Raw => {}
+        Encoding::Text => summary.remarks.extend(numbers_behind(stream, voxels)?),
+        // To the end of the stream: only there does a compressed one say whether what came out is what went in.
+        Encoding::Gzip | Encoding::Zlib => {
+            let behind = std::io::copy(&mut stream.take(TRAILING_BYTES + 1), &mut std::io::sink());
+            let behind = behind.map_err(|error| damaged_behind(&error, voxels))?;
+            if behind > TRAILING_BYTES {
+                return Err(format!("more than {TRAILING_BYTES} bytes follow the {voxels} voxels: the header is damaged"));
+            }
+            summary.remarks.extend(surplus(behind, voxels, layout.number));
         }
     }
     Ok(summary)
+}
+
+/// What to say of `more` bytes behind `voxels` voxels. No format has anything there, and no tool pads: one byte is said, too.
+pub(super) fn surplus(more: u64, voxels: u64, number: NumberType) -> Option<Remark> {
+    if more == 0 {
+        return None;
+    }
+    let bytes = number.bytes() as u64;
+    let wider = [2, 4, 8].into_iter().find(|wide| *wide > bytes && voxels.checked_mul(wide - bytes) == Some(more));
+    let words = match wider {
+        Some(wide) => format!(
+            "{more} bytes follow the voxels, which is what they would fill with {wide} bytes each instead of {bytes}: the type \
+             ({number:?}) is probably wrong, and with it every value"
+        ),
+        None => format!("{more} bytes follow the voxels: does the header say their size and type right?"),
+    };
+    Some((Some(MORE_BYTES.to_owned()), words))
+}
+
+/// What to say of numbers behind the voxels of a text, where white space is nothing.
+fn numbers_behind(stream: &mut dyn BufRead, voxels: u64) -> Result<Option<Remark>, String> {
+    let mut behind = Vec::new();
+    stream.take(TRAILING_BYTES).read_to_end(&mut behind).map_err(|error| damaged_behind(&error, voxels))?;
+    let is_space = |byte: &u8| byte.is_ascii_whitespace() || *byte == b',';
+    let words = behind.split(is_space).filter(|word| !word.is_empty()).count();
+    let more = if behind.len() as u64 == TRAILING_BYTES { " or more" } else { "" };
+    let said = format!("{words} numbers{more} follow the voxels: does the header say their size right?");
+    Ok((words > 0).then(|| (Some(MORE_BYTES.to_owned()), said)))
+}
+
+/// Why a stream cannot be read to its end, all of whose voxels came out.
+fn damaged_behind(error: &std::io::Error, voxels: u64) -> String {
+    match error.kind() {
+        std::io::ErrorKind::UnexpectedEof => {
+            format!("cut short behind the last of {voxels} voxels: the checksum is missing that proves them; copy it again")
+        }
+        _ => format!("damaged behind the last of {voxels} voxels ({error}); copy it again"),
+    }
 }
 
 /// Why a stream of `voxels` voxels ended after `at` of them.

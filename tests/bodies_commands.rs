@@ -141,6 +141,9 @@ fn a_pose_with_a_body_that_the_scene_does_not_know_is_refused() {
     assert!(!folder.path().join("drr.tif").exists());
     let refused = Pose { reason: Some("beads: none".to_owned()), status: sidecarm::pose::Status::Refused, ..pose };
     let error = render(folder.path(), &scene, &refused, "drr.tif").expect_err("refused");
-    assert!(matches!(error, RenderCommandError::Posed(PosedError::NoView { .. })) && error.to_string().contains("beads: none"), "{error}");
+    assert!(
+        matches!(error, RenderCommandError::Posed(PosedError::NoView { .. })) && error.to_string().contains("beads: none"),
+        "{error}"
+    );
     assert_eq!(refused.place_of("femur", DVec3::X), DVec3::X, "a refused pose places nothing");
 }

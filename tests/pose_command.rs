@@ -123,7 +123,10 @@ fn what_cannot_be_converted_is_said_in_one_sentence() {
         (&["POSE.json", "--to", "pose"], "is a pose file already"),
         (&["POSE.json", "--to", "matrix", "--out", "POSE.json"], "would overwrite an input"),
         (&["POSE.json", "--to", "rtk", "--pitch", "nan"], "--pitch is [NaN], expected one or two positive numbers"),
-        (&["POSE.json", "--to", "rtk", "--pitch", "1e30"], "--pitch is [1e30], expected one or two positive numbers, at most 100 mm"),
+        (
+            &["POSE.json", "--to", "rtk", "--pitch", "1e30"],
+            "--pitch is [1e30], expected one or two positive numbers, at most 100 mm",
+        ),
     ];
     for (words, expected) in cases {
         let found = complaint(&convert(folder.path(), words));

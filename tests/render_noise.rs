@@ -4,7 +4,6 @@ use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::cpu::add_noise::{add_noise, poisson};
 use sidecarm::render::{Options, Quantity, Renderer};
-use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Noise, ReadoutNoise, Response};
 
 use crate::render_scenes::{empty, render_on, software_vulkan, spectrum};

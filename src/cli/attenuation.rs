@@ -41,7 +41,9 @@ pub enum TableError {
     #[error(transparent)]
     Physics(#[from] PhysicsError),
     /// A filter of unknown density.
-    #[error("--filter {name}: its density is not known here; name an element or a material of `sidecarm materials`, such as water for H2O")]
+    #[error(
+        "--filter {name}: its density is not known here; name an element or a material of `sidecarm materials`, such as water for H2O"
+    )]
     FilterDensity {
         /// As typed.
         name: String,

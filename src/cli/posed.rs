@@ -94,7 +94,10 @@ mod tests {
         scene.view = Some(view);
         let pose = |pitch_mm: Option<f64>| Pose { pitch_mm, ..Pose::default() };
         let words = other_pitch(&scene, &pose(Some(1.3)), &view).expect("half of it");
-        assert!(words.contains("1.3") && words.contains("2.6") && words.contains("650 mm from") && words.contains("1300 mm"), "{words}");
+        assert!(
+            words.contains("1.3") && words.contains("2.6") && words.contains("650 mm from") && words.contains("1300 mm"),
+            "{words}"
+        );
         for pitch_mm in [Some(2.6), Some(2.601), None] {
             assert_eq!(other_pitch(&scene, &pose(pitch_mm), &view), None, "{pitch_mm:?}");
         }

@@ -28,7 +28,11 @@ pub enum RigidError {
 
 /// What else there is to say of a rotation part with this determinant.
 fn mirrors(determinant: f64) -> &'static str {
-    if determinant < 0.0 { "; it mirrors, which no rigid motion does: un-mirror the frame first, or turn one axis round" } else { "" }
+    if determinant < 0.0 {
+        "; it mirrors, which no rigid motion does: un-mirror the frame first, or turn one axis round"
+    } else {
+        ""
+    }
 }
 
 /// A rotation and a translation in millimetres: `a_from_b` maps points in `b` to points in `a`.

@@ -150,7 +150,8 @@ pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, bytes: &[u8]) -> Resu
 }
 
 /// What an object of a scene is.
-const KINDS: &str = "an object has one key, one of ct, mesh, voxels, sphere, ellipsoid, box, cylinder, robot, which holds all the others";
+const KINDS: &str =
+    "an object has one key, one of ct, mesh, voxels, sphere, ellipsoid, box, cylinder, robot, which holds all the others";
 
 /// Whether an object of a scene has no kind, two of them, or only the name of one: of which the reader says no more than what sign it missed.
 fn is_kindless(place: &str, detail: &str) -> bool {

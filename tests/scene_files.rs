@@ -172,7 +172,11 @@ fn mistakes_name_file_and_place() {
         ("unknown key", |s| s["objects"][0]["sphere"]["radius"] = json!(1), &["objects[0].sphere", "radius"]),
         ("unknown kind", |s| s["objects"][0] = json!({"ball": {}}), &["objects[0]", "ball"]),
         ("no kind", |s| s["objects"][0] = json!({}), &["objects[0]", "one of ct, mesh"]),
-        ("two kinds", |s| s["objects"][0] = json!({"sphere": s["objects"][0]["sphere"].clone(), "mesh": {}}), &["objects[0]"]),
+        (
+            "two kinds",
+            |s| s["objects"][0] = json!({"sphere": s["objects"][0]["sphere"].clone(), "mesh": {}}),
+            &["objects[0]", "one of ct, mesh"],
+        ),
         ("a name", |s| s["objects"][0] = json!("ct"), &["objects[0]", "one of ct, mesh"]),
         ("unknown top", |s| s["vew"] = json!(1), &["vew"]),
         (

@@ -342,6 +342,14 @@ fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
             "but lie 2.500 mm apart by their own word (0018,0088)",
         ),
         (|s| put(&mut s[2], tags::RESCALE_INTERCEPT, VR::DS, "0"), "rescale", "1 of 5 slices jump"),
+        (
+            |s| {
+                let own = |(k, slice)| put(slice, tags::FRAME_OF_REFERENCE_UID, VR::UI, &format!("2.25.7{k}"));
+                s.iter_mut().enumerate().for_each(own);
+            },
+            "frames of reference",
+            "a frame of reference of its own",
+        ),
     ] {
         let mut slices = usual.clone();
         change(&mut slices);
@@ -350,7 +358,7 @@ fn what_headers_say_against_one_whole_scan_is_refused_or_said_without_a_name() {
         assert!(only.starts_with(&format!("{kind}: ")) && only.contains(words), "{words}: {only}");
         cases += 1;
     }
-    assert_eq!(cases, 10);
+    assert_eq!(cases, 11);
 }
 
 /// Through the program and its helper: `info` of a folder, of a slice, and of a slice whose series is no volume.

@@ -24,7 +24,7 @@ pub struct AttenuationArgs {
     /// Name of the materials table (any case), chemical formula, or mass fractions
     pub material: String,
     /// Photon energies in keV, separated by commas
-    #[arg(long, value_name = "E1,E2", value_delimiter = ',', required = true, num_args = 1, allow_hyphen_values = true)]
+    #[arg(long, value_name = "E1,E2", value_delimiter = ',', required = true, num_args = 1, allow_negative_numbers = true)]
     pub kev: Vec<f64>,
     /// Print one JSON object instead of a table
     #[arg(long)]

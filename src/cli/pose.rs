@@ -67,7 +67,7 @@ pub struct ConvertArgs {
     #[arg(long, value_name = "COLUMNS,ROWS", value_delimiter = ',', num_args = 1)]
     pub size: Vec<u32>,
     /// Pixel pitch at the detector, where POSE and --intrinsics have none; two numbers for pixels that are not square
-    #[arg(long, value_name = "MM", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
+    #[arg(long, value_name = "MM", value_delimiter = ',', num_args = 1, allow_negative_numbers = true)]
     pub pitch: Vec<f64>,
     /// Patient axes of the other tool's file: lps or ras; by default those the tool uses (deepdrr: ras, others: lps)
     #[arg(long, value_name = "AXES")]

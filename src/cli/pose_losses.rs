@@ -73,14 +73,17 @@ pub(super) fn implausible(camera_from_lps: &Rigid) -> Option<String> {
     })
 }
 
+/// A patient's origin may lie so far from what is X-rayed: at the head of a table, for feet.
+const ORIGIN_OFF_MM: f64 = 1500.0;
+
 /// The patient behind the panel, by K and the pitch: what is X-rayed lies before it.
 pub(super) fn beyond_panel(camera: &ExchangedCamera) -> Option<String> {
     let distance_mm = camera.intrinsics?.source_to_detector_mm(camera.pitch_mm?[0]);
     let depth_mm = camera.camera_from_lps.translation_mm.z;
-    (!(depth_mm <= distance_mm)).then(|| {
+    (!(depth_mm <= distance_mm + ORIGIN_OFF_MM)).then(|| {
         format!(
             "the patient's origin lies {depth_mm:.0} mm from the focal spot, beyond the panel at {distance_mm:.0} mm (fx times pitch): is the pitch \
-             that of K's pixels, in mm?"
+             that of K's pixels, in mm, or does the origin lie outside of the patient?"
         )
     })
 }

@@ -9,9 +9,12 @@
 pub fn end_unheard() -> std::io::Result<()> {
     // Address space is what a helper has little of.
     const STACK_BYTES: usize = 128 << 10;
-    let watch = || {
+    let (sender, is_watching) = std::sync::mpsc::channel();
+    let watch = move || {
         use rustix::event::{PollFd, PollFlags, poll};
         let out = std::io::stdout();
+        let _ = sender.send(());
+        drop(sender);
         loop {
             // What is asked for is nothing: that a pipe has lost its reader is always told.
             match poll(&mut [PollFd::new(&out, PollFlags::empty())], None) {
@@ -21,7 +24,10 @@ pub fn end_unheard() -> std::io::Result<()> {
             }
         }
     };
-    std::thread::Builder::new().name("unheard".into()).stack_size(STACK_BYTES).spawn(watch).map(|_| ())
+    std::thread::Builder::new().name("unheard".into()).stack_size(STACK_BYTES).spawn(watch)?;
+    // What a thread takes at its start must not be refused by the limits.
+    let _ = is_watching.recv();
+    Ok(())
 }
 
 /// Elsewhere it ends when it writes.

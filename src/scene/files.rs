@@ -156,5 +156,7 @@ const KINDS: &str =
 /// Whether an object of a scene has no kind, two of them, or only the name of one: of which the reader says no more than what sign it missed.
 fn is_kindless(place: &str, detail: &str) -> bool {
     let is_object = place.starts_with("objects[") && place.matches('.').count() <= 1;
+    // Below a kind that was read, something else is wrong.
+    let is_object = is_object && (!place.contains('.') || !detail.contains("invalid type"));
     is_object && ["expected value", "key must be", "unit variant", "invalid type"].iter().any(|words| detail.contains(words))
 }

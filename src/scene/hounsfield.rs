@@ -17,8 +17,10 @@ const INTERCEPT_HU: f32 = 1024.0;
 /// Air, and how far a scanner has it from there: padding is farther off.
 const AIR_HU: f32 = -1000.0;
 const AIR_WITHIN_HU: f32 = 15.0;
-/// Below anything that is reconstructed: noise and the ringing of an interpolation at an edge end above.
+/// Below any matter; noise, the ringing of an interpolation at an edge and metal's streaks go below, the fewer voxels the deeper.
 const NOTHING_HU: f32 = -1200.0;
+/// Wrong bits, bytes or a wrong scale have as many values below this as between the two.
+const DEEP_HU: usize = 1600;
 /// Above bone and what twelve bits hold with an intercept of -1024.
 const TWELVE_BITS_HU: f32 = 3071.0;
 /// Values below [`NOTHING_HU`] are counted by whole numbers down to this; those below count as one.
@@ -97,11 +99,14 @@ pub(super) struct Heard {
     pub note: Option<String>,
 }
 
-/// Values below [`NOTHING_HU`] by whole numbers: how many different ones there are, which is the most common, and how many voxels have it.
+/// Values below [`NOTHING_HU`] by whole numbers: how many different ones there are, which is the most common, how many voxels have it, how
+/// many the next, and how many have others that are deep.
 struct Below {
     different: usize,
     usual_hu: f32,
     usual: usize,
+    second: usize,
+    deep: usize,
 }
 
 impl Below {
@@ -119,7 +124,10 @@ impl Below {
         let counts = values.par_chunks(CHUNK).map(counted).reduce(none, add);
         let different = counts.iter().filter(|count| **count > 0).count();
         let (hu, usual) = counts.iter().enumerate().max_by_key(|(_, count)| **count).map_or((0, 0), |(hu, count)| (hu, *count));
-        Self { different, usual_hu: -(hu as f32), usual }
+        let deep = counts[DEEP_HU..].iter().sum::<usize>() - if hu >= DEEP_HU { usual } else { 0 };
+        let others = counts.iter().enumerate().filter(|(other, _)| *other != hu);
+        let second = others.map(|(_, count)| *count).max().unwrap_or(0);
+        Self { different, usual_hu: -(hu as f32), usual, second, deep }
     }
 }
 
@@ -173,7 +181,8 @@ pub(super) fn heard(ct: &VolumeFile) -> Heard {
 fn damage(below: &Below, spread: &Spread, voxels: usize) -> Option<String> {
     let others = spread.below.saturating_sub(below.usual);
     let is_scaled = (spread.air as f64) < NONE * voxels as f64 && spread.high > TWELVE_BITS_HU;
-    let is_damage = others as f64 > NONE * voxels as f64 && (others > below.usual || is_scaled);
+    let is_deep = below.deep as f64 > NONE * voxels as f64 && 2 * below.deep > others;
+    let is_damage = is_deep && (others - below.second > below.usual || is_scaled);
     let (count, low, different) = (spread.below, spread.low, below.different);
     is_damage.then(|| {
         format!(
@@ -189,7 +198,7 @@ fn outside(below: &Below, voxels: usize) -> Option<String> {
     let is_unknown = f64::from(below.usual_hu) <= DensityCurve::shipped().unknown_at_most_hu;
     (is_unknown && share > MUCH).then(|| {
         format!(
-            "no voxel is near -1000 HU, and the {:.0} % at {} HU count as outside of the scan, not as air: pixels that look through them \
+            "hardly a voxel is near -1000 HU, and the {:.0} % at {} HU count as outside of the scan, not as air: pixels that look through them \
              are invalid; set them to -1000 if they are air",
             100.0 * share,
             below.usual_hu
@@ -258,8 +267,8 @@ mod tests {
         let noise = |n: usize| (n * 37 % 23) as f32 - 11.0;
         let padded = |n: usize| [-3024.0, -2000.0, hu(n)][n % 3];
         // An interpolation between padding and air, and its ringing.
-        let rim = |n: usize| if n.is_multiple_of(16) { -1030.0 - 120.0 * (n / 16 % 18) as f32 } else { padded(3 * n) };
-        let ringing = |n: usize| hu(n) + if n.is_multiple_of(3) { 12.0 * noise(n) } else { 0.0 };
+        let rim = |n: usize| if n.is_multiple_of(16) { -1030.0 - 120.0 * (n / 16 % 18) as f32 } else { padded(n) };
+        let ringing = |n: usize| hu(n) + if n.is_multiple_of(3) { 30.0 * noise(n) } else { 0.0 };
         for quiet in [&padded as &dyn Fn(usize) -> f32, &rim, &ringing] {
             assert_eq!(words(quiet), Vec::<String>::new());
         }

@@ -11,6 +11,8 @@ const GAP: f64 = 1.5;
 const GAP_IN_STEPS: f64 = 1.05;
 /// A share by which a distance that is stated may be off: it is rounded, or that of another reconstruction of the same scan.
 const SAME_DISTANCE: f64 = 0.05;
+/// A length of one decimal, mm.
+const ROUNDED_MM: f64 = 0.051;
 
 /// Refuses files of different patients, places or postures; what else differs, or is no CT by its own word, is remarked.
 ///
@@ -20,7 +22,10 @@ pub(super) fn check_one_scan(heads: &[&CtHead]) -> Result<Vec<Remark>, String> {
     if let Some(count) = several(heads, |scan| scan.patient.as_deref()) {
         return Err(format!("its slices are of {count} patients (patient ID 0010,0020); export the series of one patient again"));
     }
-    if let Some(count) = several(heads, |scan| scan.frame_of_reference.as_deref()) {
+    let frames = several(heads, |scan| scan.frame_of_reference.as_deref());
+    // Two or three are scans that were put together; some exports give each file one of its own.
+    let each_its_own = frames.is_some_and(|count| count == heads.len() && count > 2);
+    if let Some(count) = frames.filter(|_| !each_its_own) {
         return Err(format!(
             "its slices are placed in {count} frames of reference (0020,0052), between which nothing is known; export one scan alone"
         ));
@@ -30,6 +35,11 @@ pub(super) fn check_one_scan(heads: &[&CtHead]) -> Result<Vec<Remark>, String> {
     }
     let mut remarks = Vec::new();
     let mut warn = |kind: &str, words: String| remarks.push((Some(kind.to_owned()), words));
+    if each_its_own {
+        let words =
+            "each of its files names a frame of reference of its own (0020,0052), as some exports do: are they of one scan?";
+        warn("frames of reference", words.to_owned());
+    }
     if let Some(count) = several(heads, |scan| scan.study.as_deref()) {
         let words = format!("its slices are of {count} studies (0020,000d), though of one series: are they of one scan?");
         warn("several studies", words);
@@ -67,13 +77,18 @@ pub(super) fn same_images(slices: &[&SliceHead]) -> Option<Remark> {
              exported over the other?"
         )
     };
-    (same > 0).then(|| (Some("same image".to_owned()), words()))
+    // One name for all of them is nobody's word: that of a program that takes identities out.
+    (same > 0 && known.len() > 1).then(|| (Some("same image".to_owned()), words()))
 }
 
 /// What to say of slices in order that lie `along_mm` apart where their headers tell of others between them.
 pub(super) fn left_out(slices: &[&SliceHead], along_mm: f64) -> Option<Remark> {
     let thickness_mm = stated(slices, |slice| slice.thickness_mm).map(|all| all.into_iter().fold(0.0, f64::max));
-    let is_same = |mm: &f64| (mm / along_mm - 1.0).abs() <= SAME_DISTANCE;
+    // Some write the gap between the slices' faces; and a decimal is rounded.
+    let is_same = |mm: &f64| {
+        let rounded_mm = (SAME_DISTANCE * along_mm).max(ROUNDED_MM);
+        [*mm, mm + thickness_mm.unwrap_or(0.0)].iter().any(|mm| (mm - along_mm).abs() <= rounded_mm)
+    };
     // Where one slice says what its place says, the others may be rounded.
     let between_mm = stated(slices, |slice| slice.between_mm).filter(|all| !all.iter().any(is_same));
     let between_mm = between_mm.and_then(|all| all.first().copied());
@@ -99,7 +114,7 @@ pub(super) fn left_out(slices: &[&SliceHead], along_mm: f64) -> Option<Remark> {
         "one of the two is wrong, and their places are used"
     };
     let words = format!("slices lie {along_mm:.3} mm apart, but {}: {why}", reasons.join(" and "));
-    Some((Some("slices left out".to_owned()), words))
+    Some((Some(if denser { "slices left out" } else { "slice distance" }.to_owned()), words))
 }
 
 /// A length that every slice states.
@@ -149,6 +164,8 @@ mod tests {
             (None, None, 1, 9.0),
             (Some(4.0), Some(5.0), -1, 5.0),
             (Some(4.5), None, 2, 4.5),
+            (Some(2.0), Some(0.5), 1, 2.5),
+            (Some(0.75), Some(0.8), 1, 0.75),
         ];
         for (thickness_mm, between_mm, step, along_mm) in usual {
             assert_eq!(said(thickness_mm, between_mm, step, along_mm), "", "{thickness_mm:?} {between_mm:?} {step} {along_mm}");

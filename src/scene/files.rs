@@ -157,6 +157,6 @@ const KINDS: &str =
 fn is_kindless(place: &str, detail: &str) -> bool {
     let is_object = place.starts_with("objects[") && place.matches('.').count() <= 1;
     // Below a kind that was read, something else is wrong.
-    let is_object = is_object && (!place.contains('.') || !detail.contains("invalid type"));
+    let is_object = is_object && (!place.contains('.') || detail.contains("unit variant") || !detail.contains("invalid type"));
     is_object && ["expected value", "key must be", "unit variant", "invalid type"].iter().any(|words| detail.contains(words))
 }

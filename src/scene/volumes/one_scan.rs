@@ -84,10 +84,11 @@ pub(super) fn same_images(slices: &[&SliceHead]) -> Option<Remark> {
 /// What to say of slices in order that lie `along_mm` apart where their headers tell of others between them.
 pub(super) fn left_out(slices: &[&SliceHead], along_mm: f64) -> Option<Remark> {
     let thickness_mm = stated(slices, |slice| slice.thickness_mm).map(|all| all.into_iter().fold(0.0, f64::max));
-    // Some write the gap between the slices' faces; and a decimal is rounded.
+    // Some write the gap between the slices' faces, less than half of one; and a decimal is rounded.
     let is_same = |mm: &f64| {
         let rounded_mm = (SAME_DISTANCE * along_mm).max(ROUNDED_MM);
-        [*mm, mm + thickness_mm.unwrap_or(0.0)].iter().any(|mm| (mm - along_mm).abs() <= rounded_mm)
+        let with_slice_mm = thickness_mm.filter(|thick_mm| *mm < 0.5 * thick_mm).map(|thick_mm| mm + thick_mm);
+        [Some(*mm), with_slice_mm].into_iter().flatten().any(|mm| (mm - along_mm).abs() <= rounded_mm)
     };
     // Where one slice says what its place says, the others may be rounded.
     let between_mm = stated(slices, |slice| slice.between_mm).filter(|all| !all.iter().any(is_same));

@@ -18,9 +18,29 @@ pub fn lerp_angle_rad(a_rad: f64, b_rad: f64, fraction: f64) -> f64 {
     a_rad + wrap_rad(b_rad - a_rad) * fraction
 }
 
+/// The value at `x` of a line through `values` at ascending `places`, as many and at least one; beyond them that of the nearer end.
+#[must_use]
+pub fn interpolated(places: &[f64], values: &[f64], x: f64) -> f64 {
+    let upper = places.partition_point(|place| *place < x);
+    if upper == 0 || upper == places.len() {
+        return values[upper.min(places.len() - 1)];
+    }
+    let (a, b) = (places[upper - 1], places[upper]);
+    let fraction = if b > a { (x - a) / (b - a) } else { 0.0 };
+    values[upper - 1] + fraction * (values[upper] - values[upper - 1])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_is_straight_between_its_places_and_ends_flat() {
+        let at = |x: f64| interpolated(&[1.0, 2.0, 2.0, 4.0], &[10.0, 20.0, 30.0, 50.0], x);
+        for (x, value) in [(0.0, 10.0), (1.0, 10.0), (1.5, 15.0), (2.0, 20.0), (3.0, 40.0), (4.0, 50.0), (9.0, 50.0)] {
+            assert_eq!(at(x), value, "{x}");
+        }
+    }
 
     #[test]
     fn wrapping_keeps_the_half_open_interval() {

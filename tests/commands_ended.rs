@@ -12,7 +12,7 @@ use sidecarm::time::Stopwatch;
 use crate::live_lab::{HANG_S, Running, Signal, eventually};
 use crate::telemetry_frames::plain;
 
-/// Gone within a tenth of a second where nothing else runs.
+/// Gone within a tenth of a second where nothing else runs; so long on a crowded machine, before it is killed by itself.
 const GONE_MS: f64 = 4_000.0;
 /// A command that was done before it was stopped is begun again.
 const TRIES: usize = 10;

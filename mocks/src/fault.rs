@@ -23,7 +23,7 @@ use crate::MockError;
 use crate::pty::Line;
 
 /// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`,
-/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Fast`).
+/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -57,13 +57,11 @@ pub enum FaultKind {
     Back,
     /// The device's clock counts milliseconds in place of microseconds.
     Millis,
-    /// The device's clock runs 6 % fast.
-    Fast,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 15] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -79,7 +77,6 @@ impl FaultKind {
         Self::Ahead,
         Self::Back,
         Self::Millis,
-        Self::Fast,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -101,7 +98,6 @@ impl FaultKind {
             Self::Ahead => "ahead",
             Self::Back => "back",
             Self::Millis => "millis",
-            Self::Fast => "fast",
         }
     }
 }
@@ -191,13 +187,7 @@ impl Channel {
             // A clock is the device's, not the line's.
             None
             | Some(
-                FaultKind::Freeze
-                | FaultKind::Restart
-                | FaultKind::Jump
-                | FaultKind::Ahead
-                | FaultKind::Back
-                | FaultKind::Millis
-                | FaultKind::Fast,
+                FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump | FaultKind::Ahead | FaultKind::Back | FaultKind::Millis,
             ) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),

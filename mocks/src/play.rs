@@ -120,7 +120,6 @@ pub fn play(
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
                     FaultKind::Back => sender.epoch_us = sender.epoch_us.saturating_sub(HOUR_US),
                     FaultKind::Millis => sender.run_clock_at(now_s, 1e-3),
-                    FaultKind::Fast => sender.run_clock_at(now_s, 1.06),
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));

@@ -108,7 +108,7 @@ pub struct Frame {
     /// Index of this image in its file, and how many images that has. With `sha256` it identifies the content.
     #[serde(default = "only_image")]
     pub image_of_file: [usize; 2],
-    /// Number of the frame that was this image while its file was not yet finished.
+    /// Number of the frame that was this image before its file was written on or anew.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub completes: Option<u32>,
     /// Pixels clipped at either end of the scale.

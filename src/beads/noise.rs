@@ -2,6 +2,7 @@
 
 use super::correlation::Correlation;
 use crate::image::Image;
+use crate::units::interpolated;
 
 /// Standard deviation of a pixel's noise against the pixel's value.
 #[derive(Clone, Debug)]
@@ -85,16 +86,7 @@ impl Noise {
         if let Some((slope, offset)) = self.law {
             return (slope * value.max(0.0) + offset).sqrt().max(self.floor);
         }
-        let upper = self.values.partition_point(|v| *v < value);
-        if upper == 0 {
-            return self.sigmas[0];
-        }
-        if upper == self.values.len() {
-            return self.sigmas[upper - 1];
-        }
-        let (a, b) = (self.values[upper - 1], self.values[upper]);
-        let fraction = if b > a { (value - a) / (b - a) } else { 0.0 };
-        self.sigmas[upper - 1] + fraction * (self.sigmas[upper] - self.sigmas[upper - 1])
+        interpolated(&self.values, &self.sigmas, value)
     }
 }
 

@@ -41,27 +41,24 @@ pub(super) fn dead_lines(pixels: &Image<f32>, usable: &Image<bool>, floor: f64) 
     for (count, length, strides) in [(width, height, [1, width]), (height, width, [width, 1])] {
         let lines = Lines { pixels: &pixels.pixels, usable: &usable.pixels, count, length, strides, floor };
         let parts: Vec<Vec<[f64; WIDEST]>> = (0..PARTS).into_par_iter().map(|part| lines.departures(part)).collect();
-        for line in 0..count {
-            for lines_wide in 1..=WIDEST {
-                for sign in [-1.0, 1.0] {
-                    let is_hit = |part: &Vec<[f64; WIDEST]>| part[line][lines_wide - 1] * sign > 0.0;
-                    let hits: Vec<usize> = (0..).zip(&parts).filter(|(_, part)| is_hit(part)).map(|(part, _)| part).collect();
-                    for run in hits.chunk_by(|part, next| next - part <= 2) {
-                        let (first, last) = (run[0], run[run.len() - 1]);
-                        // A readout lacks lines from its edge on; what is dark in the middle of a frame may be a thin wire.
-                        let is_whole = sign > 0.0 || first == 0 || last == PARTS - 1;
-                        if run.len() < FEWEST_PARTS || !is_whole {
-                            continue;
-                        }
-                        for along in lines.part(first).start..lines.part(last).end {
-                            (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
-                        }
-                    }
+        let each = (0..count).flat_map(|line| (1..=WIDEST).flat_map(move |wide| [-1.0, 1.0].map(|sign| (line, wide, sign))));
+        for (line, lines_wide, sign) in each {
+            let is_hit = |part: &usize| parts[*part][line][lines_wide - 1] * sign > 0.0;
+            for (first, last) in runs(&(0..PARTS).filter(is_hit).collect::<Vec<_>>(), sign) {
+                for along in lines.part(first).start..lines.part(last).end {
+                    (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
                 }
             }
         }
     }
     dead
+}
+
+/// First and last part of each stretch in which a line is dead, by the parts in which it differs, up or down by `sign`.
+fn runs(hits: &[usize], sign: f64) -> impl Iterator<Item = (usize, usize)> {
+    let stretches = hits.chunk_by(|part, next| next - part <= 2).filter(|run| run.len() >= FEWEST_PARTS);
+    // A readout lacks lines from its edge on; what is dark in the middle of a frame may be a thin wire.
+    stretches.map(|run| (run[0], run[run.len() - 1])).filter(move |(first, last)| sign > 0.0 || *first == 0 || *last == PARTS - 1)
 }
 
 impl Lines<'_> {

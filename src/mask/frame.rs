@@ -61,11 +61,13 @@ pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     masks
 }
 
-/// Values proportional to quanta, up to an offset; `None` where their scale is not known, and where a console or a codec has processed them: it has mended
-/// what was dead, and has written and sharpened.
+/// Values proportional to quanta, up to an offset; `None` where their scale is not known, and where a console or a codec has processed them:
+/// it has mended what was dead, and has written and sharpened.
 fn of_quanta(frame: &Frame) -> Option<Cow<'_, Image<f32>>> {
+    if frame.is_lossy() {
+        return None;
+    }
     match frame.domain {
-        _ if frame.is_lossy() => None,
         Domain::Linear => Some(Cow::Borrowed(&frame.pixels)),
         Domain::Log if frame.unit.as_deref() == Some("neper") => {
             Some(Cow::Owned(frame.pixels.map(|nepers| (-nepers).clamp(-80.0, 80.0).exp())))

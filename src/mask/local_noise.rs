@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::image::Image;
+use crate::units::interpolated;
 
 /// Places at which the noise is looked at, about.
 const SAMPLES: f64 = 60_000.0;
@@ -91,12 +92,7 @@ impl LocalNoise {
 
     /// Standard deviation where the surroundings have this value.
     pub fn sigma(&self, value: f64) -> f64 {
-        let (values, sigmas) = (&self.values, &self.sigmas);
-        let upper = values.partition_point(|other| *other < value).min(values.len() - 1);
-        let lower = upper.saturating_sub(1);
-        let span = values[upper] - values[lower];
-        let fraction = if span > 0.0 { ((value - values[lower]) / span).clamp(0.0, 1.0) } else { 0.0 };
-        sigmas[lower] + fraction * (sigmas[upper] - sigmas[lower])
+        interpolated(&self.values, &self.sigmas, value)
     }
 
     /// Whether noise makes a pixel differ so far from surroundings of this value with less than e to the minus `rarity`.

@@ -90,14 +90,9 @@ pub(super) fn detector(file: &DetectorFile, files: &mut Files) -> Result<Detecto
             expected: "an odd square, at most 15 by 15".to_owned(),
         });
     }
-    if let Some(weight) = crosstalk.iter().flatten().find(|weight| !(**weight >= 0.0)) {
-        check(
-            false,
-            files,
-            "a number of detector.crosstalk",
-            *weight,
-            "0 or more: light goes to neighbours, it takes none from them",
-        )?;
+    for weight in crosstalk.iter().flatten() {
+        const EXPECTED: &str = "0 or more: light goes to neighbours, it takes none from them";
+        check(*weight >= 0.0, files, "a number of detector.crosstalk", *weight, EXPECTED)?;
     }
     let sum: f64 = crosstalk.iter().flatten().sum();
     check((sum - 1.0).abs() <= 1e-6, files, "the sum of detector.crosstalk", sum, "1 within 1e-6")?;

@@ -196,9 +196,12 @@ impl Broadcast {
 
     /// Another session begins: of its devices nothing is missed yet.
     pub(super) fn begin_anew(&self) {
+        let Some(server) = &self.server else { return };
         let mut newest = self.newest();
         newest.looked_us = None;
         newest.silent.clear();
+        let of_frame = newest.of_frame.clone();
+        newest.tell(server, of_frame);
     }
 
     /// A frame that was registered, and what the terminal says of it.

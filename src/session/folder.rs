@@ -235,7 +235,7 @@ impl Collector {
         self.write_strip(number, &waiting.strip)
     }
 
-    /// Writes a strip; that of a picture which was not finished says so.
+    /// Writes a strip; that of a picture whose file was written on or anew says so.
     fn write_strip(&mut self, number: u32, strip: &Image<[u8; 3]>) -> Option<String> {
         fault::hangs("strip");
         let name = strip_name(number);
@@ -248,7 +248,7 @@ impl Collector {
         self.unwritten.note(&name, written)
     }
 
-    /// What was said of a picture that was not finished is taken back, in its row and its strip.
+    /// What was said of a picture whose file was written on or anew is taken back, in its row and its strip.
     fn take_back(&mut self, number: u32) -> Option<String> {
         let by = *self.replaced.get(&number)?;
         self.rows.get_mut(&number)?.replace_by(by);

@@ -1,5 +1,6 @@
 //! Whether each line can still be heard. A device that falls silent while its port is open, a port that does not come back, a clock that
-//! stands still or runs at another rate: each reaches the person while something can be done, and the report where frames went without telemetry for it.
+//! stands still or runs at another rate: each reaches the person while something can be done, and the report where frames went without
+//! telemetry for it.
 
 use std::collections::BTreeMap;
 

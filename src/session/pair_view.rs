@@ -18,7 +18,7 @@ pub struct PairView {
     pub time_us: i64,
     /// How often the frame was posed before.
     pub development: u32,
-    /// The frame that was this picture while its file was not finished: what was said of it is taken back.
+    /// The frame that was this picture before its file was written on or anew: what was said of it is taken back.
     pub replaces: Option<u32>,
     /// Nothing more comes: the null is made, or there is none.
     pub complete: bool,

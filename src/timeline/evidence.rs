@@ -28,7 +28,7 @@ pub struct FrameEvidence {
     /// By its tags it is the last image held of a beam: taken when that ended.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub last_image: bool,
-    /// The frame that was this image while its file was not yet finished.
+    /// The frame that was this image before its file was written on or anew.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub completes: Option<u32>,
 }

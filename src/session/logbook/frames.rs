@@ -67,7 +67,7 @@ pub struct FrameTold {
     pub arrival_us: i64,
     /// Whether they are there.
     pub pixels: Pixels,
-    /// The frame that was this image while its file was not finished.
+    /// The frame that was this image before its file was written on or anew.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub completes: Option<u32>,
     /// Its last pose; `None` where the session did not come to it.

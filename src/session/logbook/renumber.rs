@@ -122,7 +122,7 @@ mod tests {
         }
     }
 
-    /// A copy and a picture that was not finished name the frame that has the exposure.
+    /// A copy and a picture whose file was written on or anew name the frame that has the exposure.
     #[test]
     fn the_frames_that_a_binding_names_are_shifted_with_the_frame() {
         let binding = |[of, by]: [u32; 2]| Binding {

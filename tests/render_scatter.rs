@@ -322,3 +322,29 @@ fn the_statement_covers_what_few_photons_leave_uncertain() {
     let achieved = f64::from(off[off.len() * 999 / 1000]);
     assert!(achieved <= stated && achieved > 0.1 * stated, "{achieved:e} of {stated:e}");
 }
+
+/// 20 ms were asked for, the network took 200, and nothing was said of it.
+#[cfg(feature = "learn")]
+#[test]
+fn a_budget_counts_the_network_that_is_asked() {
+    let folder = tempfile::tempdir().expect("folder");
+    let [path, out] = ["scene.json", "drr.tif"].map(|name| folder.path().join(name));
+    let with = |model: &str, budget_ms: &str| {
+        std::fs::write(&path, SCENE.replace("monte_carlo", model)).expect("writes");
+        let ran = sidecarm(&["render", text(&path), "--out", text(&out), "--device", "cpu", "--json", "--budget-ms", budget_ms]);
+        assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+        let is_told = ran.stderr.contains(&format!("--budget-ms {budget_ms} ms cannot be met"));
+        (is_told, ran.stderr.contains("of which the scatter network takes"), ran.json())
+    };
+    // Weights and super-voxels alone take longer, on any machine.
+    let (is_told, names_network, json) = with("network", "1");
+    assert!(is_told && names_network, "{json}");
+    let [predicted_ms, network_ms] =
+        [&json["predicted_ms"], &json["stages_ms"]["scatter"]].map(|ms| ms.as_f64().expect("a time"));
+    assert!(network_ms > 1.0 && predicted_ms > network_ms, "{predicted_ms} of {network_ms}");
+    // The controls: a time that holds both, and the same without a network.
+    let (is_told, names_network, _) = with("network", "1e6");
+    assert!(!is_told && !names_network);
+    let (_, names_network, json) = with("off", "1");
+    assert!(!names_network && json["stages_ms"]["scatter"].is_null(), "{json}");
+}

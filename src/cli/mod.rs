@@ -46,6 +46,7 @@ pub mod live;
 pub mod log;
 pub mod materials;
 mod named;
+mod network_targets;
 pub mod pose;
 mod pose_losses;
 mod posed;

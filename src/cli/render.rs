@@ -13,8 +13,8 @@ use crate::cli::scattered::{Asked, SCATTER_ERROR, ScatteredError, scattered, way
 use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice};
 use crate::render::{
-    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, explain_unseen, guessed_share, unsaid_skew, write_dicom,
-    write_image, write_picture, written_with,
+    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, Scatter, explain_unseen, guessed_share, unsaid_skew,
+    write_dicom, write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
 use crate::scene::model::ScatterModel;
@@ -33,7 +33,7 @@ use crate::time::StageTimes;
 
 Where the scene's model.scatter is monte_carlo, photons are followed before the image is made: seconds to minutes, which no budget counts.
 Meanwhile IMAGE.tif.checkpoint is kept up to date: the same command, or one with another --scatter-error, goes on from there.
-Where it is network, one that `sidecarm train scatter` has made is asked: a fraction of a second.
+Where it is network, one that `sidecarm train scatter` has made is asked: a fraction of a second, which --budget-ms counts.
 
 Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), IMAGE.tif.valid.png when the CT is cut off for some
 pixels (black there), and IMAGE.tif.guessed.png when a body has moved (white where the image shows what fills its old place).")]
@@ -41,7 +41,7 @@ pub struct RenderArgs {
     /// The scene
     pub scene: PathBuf,
     /// The image, 32-bit float TIFF
-    #[arg(long, value_name = "IMAGE.tif", value_parser = PathBufValueParser::new().try_map(image_name))]
+    #[arg(long, value_name = "IMAGE.tif", value_parser = PathBufValueParser::new().try_map(named::float_tiff))]
     pub out: PathBuf,
     /// What the image holds
     #[arg(long, value_enum, default_value = "intensity")]
@@ -81,7 +81,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(named::png))]
     pub png: Option<PathBuf>,
     /// The same as a DICOM object (digital X-ray, 16 bits) with its geometry
-    #[arg(long, value_name = "FILE.dcm", value_parser = PathBufValueParser::new().try_map(no_stream))]
+    #[arg(long, value_name = "FILE.dcm", value_parser = PathBufValueParser::new().try_map(named::no_stream))]
     pub dicom: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
@@ -89,29 +89,6 @@ pub struct RenderArgs {
     /// Count NaN and infinity after every pass, into IMAGE.tif.json
     #[arg(long, hide = true)]
     pub count_non_finite: bool,
-}
-
-/// Endings of what people look at, and of what other tools write images to: a TIFF under such a name is opened by nothing.
-const OTHER_IMAGES: [&str; 11] = ["png", "jpg", "jpeg", "bmp", "gif", "webp", "exr", "dcm", "nii", "nrrd", "mha"];
-
-/// A name for the TIFF.
-fn image_name(path: PathBuf) -> Result<PathBuf, String> {
-    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
-    if OTHER_IMAGES.contains(&ending.as_str()) {
-        return Err(format!(
-            "a 32-bit float TIFF is written here, name it .tif; --png {} writes a picture for eyes, --dicom a DICOM object",
-            path.with_extension("png").display()
-        ));
-    }
-    no_stream(path)
-}
-
-/// A name for a file.
-fn no_stream(path: PathBuf) -> Result<PathBuf, String> {
-    if path.as_os_str() == "-" {
-        return Err("standard output takes no image; name a file".to_owned());
-    }
-    Ok(path)
 }
 
 /// `--quantity`.
@@ -240,6 +217,14 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(mib) = args.gpu_memory_mib {
         renderer.limit_gpu_memory(mib.saturating_mul(1 << 20));
     }
+    let hashes = hashes(&args.scene, &scene)?;
+    let asked = Asked {
+        rel_error: positive("--scatter-error", args.scatter_error)?,
+        network: args.scatter_network.as_deref(),
+        budget_ms: args.budget_ms,
+        gpu: None,
+        keep: Some(Keep { path: &checkpoint, args: args.keep, inputs: &hashes }),
+    };
     let goal = goal(args)?;
     let mut options = Options {
         quantity: args.quantity.into(),
@@ -250,6 +235,20 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         ..Options::default()
     };
     let mut stages = StageTimes::default();
+    let scatter_of = |asked: &Asked<'_>, stages: &mut StageTimes| -> Result<Option<Arc<Scatter>>, RenderCommandError> {
+        if args.quantity == QuantityArg::AreaDensity || scene.model.scatter == ScatterModel::Off {
+            return Ok(None);
+        }
+        let view = scene.view.ok_or(RenderError::NoView)?;
+        Ok(stages.measure("scatter", || scattered(&scene, &view, asked, reporter))?.map(Arc::new))
+    };
+    let mut network_ms = 0.0;
+    if let (Some(Goal::BudgetMs(left_ms)), ScatterModel::Network) = (&mut options.goal, scene.model.scatter) {
+        // Asked first, so that the image is planned into the time that the network leaves.
+        options.scatter = scatter_of(&asked, &mut stages)?;
+        network_ms = options.scatter.as_ref().and(stages.get("scatter")).unwrap_or(0.0);
+        *left_ms = (*left_ms - network_ms).max(0.0);
+    }
     let mut plan = renderer.plan_timed(&scene, &options, &mut stages)?;
     if let Some(wanted) = args.max_error
         && !(wanted >= plan.stated_error)
@@ -257,27 +256,17 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         let advice = if args.reference { "" } else { "; --device cpu reaches 5e-6, --reference 1e-7" };
         return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
     }
-    if let (Some(budget), Some(predicted)) = (args.budget_ms, plan.predicted_ms.filter(|_| !args.reference))
-        && !(predicted <= budget)
-    {
-        let advice = "fewer pixels, or a GPU, would be faster";
-        reporter.warn(
-            "budget",
-            format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
-        );
+    plan.predicted_ms = plan.predicted_ms.map(|ms| ms + network_ms);
+    // A GPU's part is not predicted; a network's is known.
+    let predicted_ms = plan.predicted_ms.unwrap_or(network_ms);
+    if let Some(budget_ms) = args.budget_ms.filter(|budget_ms| !args.reference && !(predicted_ms <= *budget_ms)) {
+        let (words, advice) = over_budget(budget_ms, predicted_ms, network_ms);
+        plan.say("budget", false, words.clone());
+        reporter.warn("budget", format_args!("--budget-ms {words}; {advice}"));
     }
-    let hashes = hashes(&args.scene, &scene)?;
-    let asked = Asked {
-        rel_error: positive("--scatter-error", args.scatter_error)?,
-        network: args.scatter_network.as_deref(),
-        budget_ms: args.budget_ms,
-        gpu: renderer.gpu(),
-        keep: Some(Keep { path: &checkpoint, args: args.keep, inputs: &hashes }),
-    };
-    if args.quantity != QuantityArg::AreaDensity && scene.model.scatter != ScatterModel::Off {
-        let view = scene.view.ok_or(RenderError::NoView)?;
-        let found = stages.measure("scatter", || scattered(&scene, &view, &asked, reporter))?;
-        options.scatter = found.map(Arc::new);
+    let asked = Asked { gpu: renderer.gpu(), ..asked };
+    if options.scatter.is_none() {
+        options.scatter = scatter_of(&asked, &mut stages)?;
     }
     if args.scatter_network.is_some() && scene.model.scatter != ScatterModel::Network {
         reporter.warn("scatter", format_args!("--scatter-network is not asked: the scene's model.scatter is not \"network\""));
@@ -348,6 +337,16 @@ fn goal(args: &RenderArgs) -> Result<Option<Goal>, RenderCommandError> {
     })
 }
 
+/// What to say of a time that the fastest plan does not keep, of which a network has taken `network_ms`, and what would be faster.
+fn over_budget(budget_ms: f64, predicted_ms: f64, network_ms: f64) -> (String, &'static str) {
+    let words = format!("{budget_ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms");
+    if network_ms > 0.0 {
+        let advice = "model.scatter \"off\" asks no network; fewer pixels, or a GPU, render faster";
+        return (format!("{words}, of which the scatter network takes {network_ms:.2} ms"), advice);
+    }
+    (words, "fewer pixels, or a GPU, would be faster")
+}
+
 fn range(rendered: &Rendered) -> (f32, f32) {
     let values = rendered.pages.iter().flat_map(|page| &page.pixels);
     values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(*value), high.max(*value)))
@@ -362,7 +361,10 @@ fn line(args: &RenderArgs, rendered: &Rendered) -> String {
         )
     });
     let times: Vec<String> = rendered.stages.iter().map(|(stage, ms)| format!("{stage} {ms:.1} ms")).collect();
-    let image_ms = rendered.image_ms() - rendered.stages.get("scatter").unwrap_or(0.0);
+    // No budget counts photons; what a network takes it does.
+    let followed = rendered.scatter.as_ref().is_some_and(|added| matches!(added.from, Origin::Photons { .. }));
+    let photons_ms = rendered.stages.get("scatter").filter(|_| followed).unwrap_or(0.0);
+    let image_ms = rendered.image_ms() - photons_ms;
     let missed = args.budget_ms.filter(|budget| !(image_ms <= *budget));
     let missed =
         missed.map_or_else(String::new, |budget| format!("\n--budget-ms {budget}: not met, the image took {image_ms:.1} ms"));

@@ -100,6 +100,7 @@ mod tests {
         }
         assert!(first > 0.5 && last < 0.3 * first, "{first} {last}");
     }
+
     /// Spongy bone in tissue, beside contrast medium as dense as it is on average: no threshold tells them apart, and in every patch they lie
     /// elsewhere.
     fn bone_beside_contrast(pass: &Pass, number: usize) -> Patch {

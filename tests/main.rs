@@ -145,6 +145,7 @@ mod render_executors;
 mod render_extreme_places;
 mod render_extremes;
 mod render_fixed;
+mod render_lung;
 mod estimate_core;
 mod estimate_jacobians;
 mod edits_pose;

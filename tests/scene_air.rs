@@ -23,7 +23,7 @@ const SPACING_MM: f32 = 4.0;
 const LUNG_HU: i16 = -850;
 
 /// A trunk of tissue around one lung, room air about it, and a slit of air in the skin that is open to the room.
-fn chest() -> NiftiFile {
+pub fn chest() -> NiftiFile {
     let hu = |index: usize| {
         let [x, y, _] = [index % SIZE[0], index / SIZE[0] % SIZE[1], index / (SIZE[0] * SIZE[1])];
         match (x, y) {
@@ -248,7 +248,7 @@ fn a_plan_for_kept_air_says_how_it_is_cast_and_its_image_is_as_exact_as_stated()
 }
 
 /// A label volume of the chest: lung 1, tissue 2, with a table of names in its header.
-fn labels(names: &[(u32, &str)]) -> Vec<u8> {
+pub fn labels(names: &[(u32, &str)]) -> Vec<u8> {
     let ct = chest();
     let value = |raw: &[u8]| match i16::from_le_bytes([raw[0], raw[1]]) {
         LUNG_HU => 1i16,

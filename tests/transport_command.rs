@@ -5,10 +5,11 @@ use std::process::{Command, Stdio};
 
 use clap::Parser;
 use sidecarm::cli::scatter::{ScatterArgs, ScatterError, run};
+use sidecarm::gpu::{Device, DeviceChoice};
 use sidecarm::image::{ImageFileError, read_tiff_f32, sha256_file};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene;
-use sidecarm::transport::{BATCH, Checkpoint, Estimator, Histories, Simulation, TransportError};
+use sidecarm::transport::{BATCH, Checkpoint, Estimator, GpuTransport, Histories, Simulation, TransportError};
 
 use crate::live_lab::{HANG_S, eventually};
 use crate::log_lab::{sidecarm, text};
@@ -181,6 +182,59 @@ fn a_gpu_follows_photons_too_and_goes_on_only_from_its_own() {
     Checkpoint::new(&histories, "cpu", &[], &simulation.tally()).write(&checkpoint).expect("writes");
     let error = transport(folder.path(), &more("software-vulkan")).expect_err("a processor's");
     assert!(matches!(&error, ScatterError::Transport(TransportError::Checkpoint { what: "the device", .. })), "{error}");
+}
+
+/// On a GPU as on a processor: what the first round of batches left is gone on from to the same bits, and a precision that is there ends a run.
+#[test]
+fn a_gpu_goes_on_from_its_checkpoint_and_ends_at_a_precision() {
+    let folder = tempfile::tempdir().expect("folder");
+    // Two rounds.
+    let more = ["--histories", "2e5", "--grid-px", "4x3", "--device", "software-vulkan"];
+    if let Err(error) = transport(folder.path(), &more) {
+        println!("skipped: {error}");
+        return;
+    }
+    let [path, out, checkpoint] = ["scene.json", "scatter.tif", "scatter.tif.checkpoint"].map(|name| folder.path().join(name));
+    let straight = std::fs::read(&out).expect("reads");
+    let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { panic!("it was there") };
+    let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
+    let inputs: Vec<String> = std::iter::once(sha256_file(&path).expect("hashes"))
+        .chain(scene.inputs.iter().map(|input| input.sha256.clone()))
+        .collect();
+    let histories = Histories { count: 200_000, seed: 7, grid_px: [4, 3], ..Histories::default() };
+    // Leaves what a run of this seed does that is killed after its first round, and says how well that knows the scatter.
+    let leave = |seed: u64| {
+        let simulation =
+            Simulation::new(&scene, &scene.view.expect("a view"), Histories { seed, ..histories }).expect("prepares");
+        let mut followed = GpuTransport::new(&gpu, &simulation).expect("the shader takes it");
+        let mut tally = followed.tally();
+        followed.advance(&mut tally).expect("runs");
+        assert!(tally.histories() < followed.histories(), "half of it");
+        Checkpoint::new(&histories, followed.adapter(), &inputs, &tally).write(&checkpoint).expect("writes");
+        (tally.histories(), simulation.relative_error(&tally))
+    };
+    let (round, error) = leave(7);
+    std::fs::remove_file(&out).expect("removed");
+    transport(folder.path(), &more).expect("goes on");
+    assert!(std::fs::read(&out).expect("reads") == straight && !checkpoint.exists(), "bit for bit");
+    leave(8);
+    transport(folder.path(), &more).expect("goes on");
+    assert!(std::fs::read(&out).expect("reads") != straight, "the control: other sums are read");
+
+    let ends_after = |wanted: f64| {
+        let wanted = wanted.to_string();
+        let more =
+            ["--histories", "1e9", "--grid-px", "4x3", "--device", "software-vulkan", "--rel-error", wanted.as_str(), "--fresh"];
+        transport(folder.path(), &more).expect("transports");
+        let text = std::fs::read_to_string(folder.path().join("scatter.tif.json")).expect("beside it");
+        let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        (json["histories"].as_u64().expect("a count"), json["stated_error"].as_f64().expect("a number"))
+    };
+    let (histories, reached) = ends_after(1.1 * error);
+    assert!(histories == round && (reached / error - 1.0).abs() < 1e-9, "{histories}: {reached}, {error} after a round");
+    // Errors fall with the root of the histories.
+    let (histories, reached) = ends_after(0.8 * error);
+    assert!(histories > round && histories <= 4 * round && reached <= 0.8 * error, "{histories}: {reached} of {error}");
 }
 
 #[test]

@@ -73,11 +73,16 @@ fn a_network_is_trained_and_asked() {
         assert!(ran.code != Some(0) && ran.stderr.contains(words), "{}", ran.stderr);
     };
     refused(&["--resume"], "nothing to go on from");
+    refused(&["--patience", "0"], "patience is 0");
+    refused(&["--patience", "3", "--sibling", "other"], "cannot be used with");
     let ran = train(&["--epochs", "2"]);
     assert_eq!(ran.code, Some(0), "{}", ran.stderr);
     let card = ran.json();
     assert!(card["sample_count"].as_u64().is_some_and(|count| (6..12).contains(&count)), "{card}");
     assert!(card["held_out"]["nmse"].as_f64().is_some_and(f64::is_finite), "{card}");
+    // What was asked for is what made the samples.
+    assert_eq!((&card["histories_per_sample"], &card["sample_seeds"]), (&json!(40_960), &json!([[0, 12]])), "{card}");
+    assert!(card["training_devices"][0].as_str().is_some_and(|name| name.starts_with("processor")), "{card}");
     let svg = std::fs::read_to_string(at("network.svg")).expect("a drawing");
     assert!(svg.starts_with("<svg") && svg.contains("held out"));
     // As far as it was to go: the same network.

@@ -146,6 +146,45 @@ fn a_training_that_no_longer_gets_better_stops_and_keeps_its_best() {
     assert_eq!((trained.end, trained.epoch, trained.history.len()), (TrainingEnd::Complete, 12, 12));
 }
 
+/// Views of the specimens that are trained on choose the epoch and when to stop; what is held out has no say in it, whatever it holds.
+#[test]
+fn a_held_out_specimen_does_not_choose_where_a_training_stops() {
+    let hold_out = HoldOut::Specimens { names: vec!["hip".to_owned()] };
+    let recipe = Recipe { epochs: 12, patience: Some(1), set_aside: 0.4, rule: wild(), hold_out, ..short() };
+    let trained_with = |times: f32| {
+        let folder = tempfile::tempdir().expect("the test's own files");
+        let samples = folder.path().join("samples");
+        std::fs::create_dir(&samples).expect("the test's own files");
+        let mut shard = samples::shard(0, 12);
+        shard.origin = r#"{"histories": 5000}"#.to_owned();
+        shard.asked = vec![0, 12];
+        let of_hip = shard.truth.chunks_exact_mut(2 * CELLS).zip(&shard.specimens).filter(|(_, name)| *name == "hip");
+        of_hip.flat_map(|(truth, _)| truth).for_each(|value| *value *= times);
+        shard.write(&samples.join("a.safetensors")).expect("the test's own files");
+        let trained = run(&options(folder.path(), "early", recipe.clone()));
+        let weights = files(&trained)[0].clone();
+        (trained, weights)
+    };
+    let (trained, weights) = trained_with(1.0);
+    assert_eq!((trained.end, trained.history.len()), (TrainingEnd::NoBetter, trained.epoch + 1));
+    let kept = trained.history[trained.epoch - 1].held_out;
+    assert!(trained.history.iter().all(|record| record.held_out >= kept));
+    let card = &trained.card;
+    // Of six samples of the knee three choose; the six of the hip are what the figures are of.
+    assert_eq!((card.sample_count, card.set_aside, card.kept_epoch), (3, 3, Some(trained.epoch)));
+    assert_eq!(card.judged_by, JudgedBy::Specimens { names: vec!["hip".to_owned()] });
+    assert!(card.held_out["samples"] == 6.0 && card.held_out.get("nmse").copied() != kept, "{:?}", card.held_out);
+    assert_eq!((card.histories_per_sample, card.sample_seeds.clone()), (Some(5000), vec![[0, 12]]));
+    let (other, same) = trained_with(3.0);
+    assert!(same == weights && other.epoch == trained.epoch, "it chose");
+    assert_ne!(other.card.held_out["nmse"], card.held_out["nmse"], "the control: it is judged by it");
+    // Nothing is left to train on.
+    let folder = folder_of(4);
+    let all = Recipe { set_aside: 0.9, ..recipe };
+    let refused = train(&options(folder.path(), "none", all), &mut |_| ControlFlow::Continue(())).unwrap_err();
+    assert!(matches!(refused, LearnError::Split { train: 0, .. }), "{refused}");
+}
+
 #[test]
 fn an_output_that_cannot_be_kept_is_refused_at_once() {
     let folder = folder_of(4);

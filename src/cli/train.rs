@@ -18,6 +18,9 @@ use crate::learn::{
 use crate::reporter::Reporter;
 use crate::time::Stopwatch;
 
+/// Share of what is trained on that chooses the epoch where a specimen is held out.
+const SET_ASIDE: f64 = 0.1;
+
 /// Train a network on the samples of `sidecarm dataset`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:
@@ -37,13 +40,14 @@ enum TrainOf {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:
   sidecarm train scatter scatter-set --out my-scatter --hold-out chest --minutes 60
+  sidecarm train scatter scatter-set --out my-scatter --hold-out chest --patience 10
   sidecarm train scatter scatter-set --out my-scatter --resume
   sidecarm train scatter scatter-set --out everything --sibling without-chest --sibling without-pelvis
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
 it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. Without --hold-out the epoch that is best
-on the tenth is kept, so its figure there is a little too good; with it the last one is. On one device a resumed training gives bit for bit what an
-uninterrupted one gives.")]
+on the tenth is kept, so its figure there is a little too good; with it the last one is, and with --patience as well the one that is best on a tenth
+of the other views. On one device a resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainScatterArgs {
     #[command(flatten)]
     common: CommonArgs,
@@ -56,14 +60,15 @@ struct TrainScatterArgs {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:
   sidecarm train materials materials-set --out my-materials --hold-out chest --minutes 60
+  sidecarm train materials materials-set --out my-materials --hold-out chest --patience 5
   sidecarm train materials materials-set --out my-materials --batch 8 --device gpu
   sidecarm train materials materials-set --out my-materials --resume
   sidecarm train materials materials-set --out everything --sibling without-chest --sibling without-pelvis
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at
 the end NAME.svg, and in the card the errors on what was held out, beside those of thresholding. Without --hold-out a tenth of the phantoms is held
-out and chooses the epoch that is kept; with it the last one is. On one device a resumed training gives bit for bit what an
-uninterrupted one gives.")]
+out and chooses the epoch that is kept; with it the last one is, and with --patience as well the one that is best on a tenth of the phantoms. On one
+device a resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainMaterialsArgs {
     #[command(flatten)]
     common: CommonArgs,
@@ -99,6 +104,10 @@ struct CommonArgs {
     /// kind as the others: that says less of a specimen that is none of them]
     #[arg(long, value_name = "SPECIMEN", conflicts_with = "resume")]
     hold_out: Vec<String>,
+    /// Stop once so many epochs have brought nothing better, and keep the best [default: 20, of materials 10; with --hold-out all epochs]. What is held
+    /// out by --hold-out has no say in that: a tenth of the other views (of materials: of the phantoms) is kept out of the training as well, and chooses
+    #[arg(long, value_name = "EPOCHS", conflicts_with_all = ["sibling", "resume"])]
+    patience: Option<usize>,
     /// A network of the same samples and settings that was trained with --hold-out of one specimen (repeat it for each specimen): this one is
     /// trained on everything, and its card has their figures
     #[arg(long, value_name = "NAME", conflicts_with_all = ["hold_out", "resume"])]
@@ -171,10 +180,12 @@ fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainErro
             ArchitectureArg::Paper => Architecture::Paper,
         });
         let hold_out = hold_out.unwrap_or(standard.hold_out);
-        Recipe { seed: common.seed, epochs: *epochs, hold_out, ..standard }
+        let (patience, set_aside) = (common.patience.or(standard.patience), common.set_aside());
+        Recipe { seed: common.seed, epochs: *epochs, hold_out, patience, set_aside, ..standard }
     })?;
-    let trained = followed(common.minutes, reporter, |told| train(&options, told))?;
-    draw(&trained, "Scatter network: loss by epoch", "normalised squared error", "held out, noise taken off")?;
+    let judges = judges(options.recipe.set_aside);
+    let trained = followed((common.minutes, judges), reporter, |told| train(&options, told))?;
+    draw(&trained, "Scatter network: loss by epoch", "normalised squared error", &format!("{judges}, noise taken off"))?;
     let Card { judged_by, held_out, .. } = &trained.card;
     say(&trained, (options.recipe.epochs, common.json), (judged_by, held_out), reporter);
     Ok(0)
@@ -189,16 +200,29 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
         };
         let standard = MaterialsRecipe::default();
         let hold_out = hold_out.unwrap_or(standard.hold_out);
-        MaterialsRecipe { materials, seed: common.seed, epochs, steps, batch, hold_out, fresh_phantoms, ..standard }
+        let (patience, set_aside) = (common.patience.or(standard.patience), common.set_aside());
+        let seed = common.seed;
+        MaterialsRecipe { materials, seed, epochs, steps, batch, hold_out, patience, set_aside, fresh_phantoms, ..standard }
     })?;
-    let trained = followed(common.minutes, reporter, |told| train_materials(&options, told))?;
-    draw(&trained, "Materials network: loss by epoch", "1 - Dice, cross-entropy", "held out")?;
+    let judges = judges(options.recipe.set_aside);
+    let trained = followed((common.minutes, judges), reporter, |told| train_materials(&options, told))?;
+    draw(&trained, "Materials network: loss by epoch", "1 - Dice, cross-entropy", judges)?;
     let MaterialsCard { judged_by, held_out, .. } = &trained.card;
     say(&trained, (options.recipe.epochs, common.json), (judged_by, held_out), reporter);
     Ok(0)
 }
 
+/// What the epochs are judged by, in a word.
+fn judges(set_aside: f64) -> &'static str {
+    if set_aside > 0.0 { "set aside" } else { "held out" }
+}
+
 impl CommonArgs {
+    /// The share that chooses the epoch where a specimen is held out, which must not.
+    fn set_aside(&self) -> f64 {
+        if self.patience.is_some() && !self.hold_out.is_empty() { SET_ASIDE } else { 0.0 }
+    }
+
     /// The training that was interrupted, or a new one with the recipe `begun`, which is told what to hold out where anybody says it.
     fn options<R: AnyRecipe>(
         &self,
@@ -234,9 +258,9 @@ impl CommonArgs {
     }
 }
 
-/// Runs a training with a bar and a line for every epoch, until it ends or `minutes` are over.
+/// Runs a training with a bar and a line for every epoch, which says what `judges` it, until it ends or `minutes` are over.
 fn followed<T>(
-    minutes: Option<f64>,
+    (minutes, judges): (Option<f64>, &str),
     reporter: &Reporter,
     train: impl FnOnce(&mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>) -> Result<T, LearnError>,
 ) -> Result<T, LearnError> {
@@ -251,7 +275,7 @@ fn followed<T>(
         }
         bar.advance(1);
         if let Some(record) = progress.done {
-            reporter.note(format_args!("{}", line(record, progress)));
+            reporter.note(format_args!("{}", line(record, progress, judges)));
         }
         match minutes {
             Some(minutes) if progress.done.is_some() && !(watch.ms() < 60e3 * minutes) => ControlFlow::Break(()),
@@ -267,9 +291,17 @@ fn say<C: serde::Serialize, F>(
     (judged_by, held_out): (&JudgedBy, &BTreeMap<String, f64>),
     reporter: &Reporter,
 ) {
-    if trained.end == TrainingEnd::ByCaller {
-        let done = trained.history.len();
-        reporter.note(format_args!("stopped by --minutes after {done} of {epochs} epochs: --resume goes on"));
+    let done = trained.history.len();
+    match trained.end {
+        TrainingEnd::ByCaller => {
+            reporter.note(format_args!("stopped by --minutes after {done} of {epochs} epochs: --resume goes on"));
+        }
+        TrainingEnd::NoBetter => {
+            let best = trained.epoch;
+            reporter
+                .note(format_args!("stopped after {done} of {epochs} epochs: none was better than epoch {best} (--patience)"));
+        }
+        TrainingEnd::Complete => {}
     }
     if json {
         println!("{}", serde_json::to_string_pretty(&trained.card).expect("plain data"));
@@ -284,8 +316,8 @@ fn say<C: serde::Serialize, F>(
     println!("{}: epoch {} of {}; {judged}", trained.files.network.weights.display(), trained.epoch, trained.history.len());
 }
 
-fn line(record: &EpochRecord, progress: &Progress) -> String {
-    let held_out = record.held_out.map_or(String::new(), |nmse| format!(", held out {nmse:.4}"));
+fn line(record: &EpochRecord, progress: &Progress, judges: &str) -> String {
+    let held_out = record.held_out.map_or(String::new(), |nmse| format!(", {judges} {nmse:.4}"));
     let best = if progress.best { " (the best so far)" } else { "" };
     format!("epoch {} of {}: loss {:.4}{held_out}{best}", record.epoch, progress.epochs, record.train_loss)
 }

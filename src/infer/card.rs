@@ -41,11 +41,23 @@ pub struct Card {
     pub training_seed: u64,
     /// Passes over the samples that it was trained for.
     pub training_epochs: usize,
+    /// The epoch whose weights these are, counted from 1; none where nobody noted it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kept_epoch: Option<usize>,
     /// The devices that it was trained on, in their order; none where nobody noted it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub training_devices: Vec<String>,
-    /// Samples trained on, without those held out.
+    /// Samples trained on, without those held out or set aside.
     pub sample_count: usize,
+    /// Samples of other views of the specimens trained on that chose the epoch, where what is held out does not.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub set_aside: usize,
+    /// Photons that were followed for each sample; none where nobody noted it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub histories_per_sample: Option<u64>,
+    /// Seeds that all samples were drawn with, as ranges: the first, and the one after the last; none where nobody noted them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sample_seeds: Vec<[u64; 2]>,
     /// Specimens trained on, sorted.
     pub specimens: Vec<String>,
     /// SHA-256 of all samples, held out or not, in hexadecimal.
@@ -54,6 +66,11 @@ pub struct Card {
     pub judged_by: JudgedBy,
     /// Figures on what was held out, by name.
     pub held_out: BTreeMap<String, f64>,
+}
+
+/// What a card that counts none of something leaves out.
+pub(super) fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// What a network's figures were found on.

@@ -34,6 +34,8 @@ pub struct Dataset {
     pub scalar_names: Vec<String>,
     /// What made them.
     pub origin: String,
+    /// Seeds that samples were asked for with, ascending: the first of a range, and the one after its last.
+    pub asked: Vec<[u64; 2]>,
     /// By name of their file, then by place in it.
     pub samples: Vec<Sample>,
 }
@@ -58,9 +60,13 @@ impl Dataset {
                 channels: shard.channels.clone(),
                 scalar_names: shard.scalar_names.clone(),
                 origin: shard.origin.clone(),
+                asked: Vec::new(),
                 samples: Vec::new(),
             });
             dataset.take(path, shard)?;
+        }
+        if let Some(dataset) = &mut dataset {
+            dataset.asked = joined(std::mem::take(&mut dataset.asked));
         }
         let nothing = || LearnError::NoSamples { path: folder.to_owned() };
         dataset.filter(|dataset| !dataset.samples.is_empty()).ok_or_else(nothing)
@@ -78,6 +84,9 @@ impl Dataset {
             if expected != found {
                 return Err(LearnError::Mixed { path: path.to_owned(), what, expected, found });
             }
+        }
+        if let [first, end] = shard.asked[..] {
+            self.asked.push([first, end]);
         }
         let (pixels, scalars, cells) = (self.channels.len() * PIXELS, self.scalar_names.len(), PAGES * CELLS);
         for (index, (seed, specimen)) in shard.seeds.iter().zip(shard.specimens).enumerate() {
@@ -133,20 +142,39 @@ impl Dataset {
                 }
                 all.partition(|index| !names.contains(&self.samples[*index].specimen))
             }
-            HoldOut::Seeds { share } => {
-                let mut seeds: Vec<u64> = self.samples.iter().map(|sample| sample.seed).collect();
-                seeds.sort_unstable();
-                seeds.dedup();
-                shuffle(&mut seeds, &mut Stream::new(seed, 0, 0, Purpose::HeldOut));
-                seeds.truncate((seeds.len() as f64 * share).ceil() as usize);
-                seeds.sort_unstable();
-                all.partition(|index| seeds.binary_search(&self.samples[*index].seed).is_err())
-            }
+            HoldOut::Seeds { share } => self.without_share(all.collect(), *share, &mut Stream::new(seed, 0, 0, Purpose::HeldOut)),
         };
         if train.is_empty() || (held_out.is_empty() && *hold_out != HoldOut::Nothing) {
             return Err(LearnError::Split { train: train.len(), held_out: held_out.len() });
         }
         Ok((train, held_out))
+    }
+
+    /// Indices of `train` without those of a `share` of their seeds, and these: views of the specimens that are trained on, to choose by. Of a share
+    /// of 0 there are none.
+    ///
+    /// # Errors
+    /// When nothing is left to train on.
+    pub fn set_aside(&self, train: Vec<usize>, share: f64, seed: u64) -> Result<(Vec<usize>, Vec<usize>), LearnError> {
+        if !(share > 0.0) {
+            return Ok((train, Vec::new()));
+        }
+        let (train, aside) = self.without_share(train, share, &mut Stream::new(seed, 1, 0, Purpose::HeldOut));
+        if train.is_empty() {
+            return Err(LearnError::Split { train: 0, held_out: aside.len() });
+        }
+        Ok((train, aside))
+    }
+
+    /// `indices` without those of a `share` of their seeds, rounded up, and these.
+    fn without_share(&self, indices: Vec<usize>, share: f64, stream: &mut Stream) -> (Vec<usize>, Vec<usize>) {
+        let mut seeds: Vec<u64> = indices.iter().map(|index| self.samples[*index].seed).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        shuffle(&mut seeds, stream);
+        seeds.truncate((seeds.len() as f64 * share).ceil() as usize);
+        seeds.sort_unstable();
+        indices.into_iter().partition(|index| seeds.binary_search(&self.samples[*index].seed).is_err())
     }
 
     /// Names of the specimens of the samples `indices`, sorted.
@@ -177,10 +205,34 @@ impl Sample {
     }
 }
 
+/// Ranges [first, end) in ascending order, those that touch as one.
+fn joined(mut ranges: Vec<[u64; 2]>) -> Vec<[u64; 2]> {
+    ranges.sort_unstable();
+    ranges.dedup_by(|later, before| {
+        let touches = later[0] <= before[1];
+        if touches {
+            before[1] = before[1].max(later[1]);
+        }
+        touches
+    });
+    ranges
+}
+
 /// Fisher–Yates.
 pub(super) fn shuffle<T>(list: &mut [T], stream: &mut Stream) {
     for last in (1..list.len()).rev() {
         let chosen = (stream.uniform() * (last + 1) as f64) as usize;
         list.swap(last, chosen.min(last));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_that_touch_are_one() {
+        assert_eq!(joined(vec![[100, 150], [0, 50], [50, 100], [1000, 1020], [20, 30]]), [[0, 150], [1000, 1020]]);
+        assert_eq!(joined(vec![[0, 50], [51, 60]]), [[0, 50], [51, 60]], "the control: seed 50 is in neither");
     }
 }

@@ -19,7 +19,7 @@ pub(super) struct Pace {
     pub batch: usize,
     /// How a step follows from its gradient.
     pub rule: StepRule,
-    /// Whether what is held out chooses the epoch that is kept.
+    /// Whether what is judged by chooses the epoch that is kept.
     pub chooses: bool,
     /// Stop after so many epochs without a better one, where that chooses.
     pub patience: Option<usize>,
@@ -44,8 +44,8 @@ pub(super) trait Learner: Sync {
     /// Mean loss of the samples of a step, and its slopes by the parameters; what the device says where it fails.
     fn slopes(&self, drawn: Self::Drawn, parameters: &[f32], device: &Device) -> Result<(f64, Vec<f32>), String>;
 
-    /// How wrong `parameters` are on what was held out, without and with the noise of the truth, and what to write of it; what the device says
-    /// where it fails.
+    /// How wrong `parameters` are on what was set aside, else on what was held out, without and with the noise of the truth, and what to write of
+    /// what was held out; what the device says where it fails.
     fn judge(&self, parameters: &[f32], device: &Device) -> Result<([Option<f64>; 2], Self::Found), String>;
 
     /// Writes the best network of `state`, with its card.

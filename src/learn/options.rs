@@ -62,8 +62,8 @@ pub struct EpochRecord {
     pub epoch: usize,
     /// Mean loss of the epoch's samples, each with the weights of its own step.
     pub train_loss: f64,
-    /// How wrong it is on what was held out, empty where nothing was: of scatter the normalised mean squared error less the noise of the truth, of
-    /// materials the loss.
+    /// How wrong it is on what was set aside to choose, else on what was held out, empty where nothing was: of scatter the normalised mean squared
+    /// error less the noise of the truth, of materials the loss.
     pub held_out: Option<f64>,
     /// The same with the noise of the truth.
     pub held_out_raw: Option<f64>,
@@ -95,7 +95,7 @@ pub struct Progress<'a> {
 pub enum TrainingEnd {
     /// All epochs are done.
     Complete,
-    /// The held-out figure no longer fell.
+    /// The figure that chooses no longer fell.
     NoBetter,
     /// The caller said so.
     ByCaller,

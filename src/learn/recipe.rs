@@ -25,7 +25,10 @@ pub struct Recipe {
     pub mirror: bool,
     /// What is not trained on.
     pub hold_out: HoldOut,
-    /// Stop after so many epochs without a better held-out figure, where that chooses ([`HoldOut::chooses`]).
+    /// Share of the seeds of what is trained on that is not trained on after all but chooses the epoch, in place of what is held out; 0 for none.
+    #[serde(default)]
+    pub set_aside: f64,
+    /// Stop after so many epochs without a better figure, where one chooses ([`Recipe::chooses`]).
     pub patience: Option<usize>,
 }
 
@@ -69,7 +72,7 @@ pub enum HoldOut {
 
 impl HoldOut {
     /// Whether what is held out chooses the epoch that is kept, and says when to stop. A specimen does not: it would no longer be one that
-    /// the network knows nothing of, so the last epoch is kept.
+    /// the network knows nothing of. Unless something else is set aside to choose, the last epoch is kept.
     #[must_use]
     pub fn chooses(&self) -> bool {
         matches!(self, Self::Seeds { .. })
@@ -108,13 +111,21 @@ impl Recipe {
             page_weight: 0.25,
             mirror: true,
             hold_out: HoldOut::Seeds { share: 0.1 },
+            set_aside: 0.0,
             patience: Some(20),
         }
+    }
+
+    /// Whether anything chooses the epoch that is kept, and says when to stop.
+    #[must_use]
+    pub fn chooses(&self) -> bool {
+        self.hold_out.chooses() || self.set_aside > 0.0
     }
 
     pub(super) fn check(&self) -> Result<(), LearnError> {
         let of_weight = ("page weight", "0 or more", self.page_weight, self.page_weight >= 0.0 && self.page_weight.is_finite());
         refuse_wrong(&[counted("epochs", self.epochs), counted("batch", self.batch), of_weight])?;
+        refuse_wrong(&of_choice(self.patience, self.set_aside))?;
         self.rule.check()?;
         self.hold_out.check()
     }
@@ -126,6 +137,14 @@ pub(super) type Setting = (&'static str, &'static str, f64, bool);
 /// A setting that counts something.
 pub(super) fn counted(name: &'static str, count: usize) -> Setting {
     (name, "at least 1", count as f64, count >= 1)
+}
+
+/// What says when to stop: `patience`, and the share that is set aside for it.
+pub(super) fn of_choice(patience: Option<usize>, set_aside: f64) -> [Setting; 2] {
+    [
+        counted("patience", patience.unwrap_or(1)),
+        ("share set aside", "0 or more, below 1", set_aside, (0.0..1.0).contains(&set_aside)),
+    ]
 }
 
 /// The first setting that makes no sense, as an error.

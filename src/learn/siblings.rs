@@ -29,7 +29,9 @@ fn value(figures: &BTreeMap<String, f64>, name: &str) -> f64 {
 
 impl Judged for Card {
     fn made(&self) -> String {
-        format!("{:?} {} {}", self.architecture, self.training_seed, self.training_epochs)
+        // One that stopped early at its best says nothing of one that went on to its end.
+        let chose = self.set_aside > 0;
+        format!("{:?} {} {} {chose}", self.architecture, self.training_seed, self.training_epochs)
     }
 
     fn samples_sha256(&self) -> &str {
@@ -59,7 +61,8 @@ impl Judged for Card {
 impl Judged for MaterialsCard {
     fn made(&self) -> String {
         let Self { materials, training_seed, training_epochs, training_steps, training_batch, .. } = self;
-        format!("{materials:?} {training_seed} {training_epochs} {training_steps} {training_batch}")
+        let chose = self.set_aside > 0;
+        format!("{materials:?} {training_seed} {training_epochs} {training_steps} {training_batch} {chose}")
     }
 
     fn samples_sha256(&self) -> &str {
@@ -100,7 +103,7 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool
             return no("it was trained on other samples");
         }
         if sibling.made() != card.made() {
-            return no("its layers, its seed or its epochs are others");
+            return no("its layers, its seed or its epochs are others, or it chose one of them");
         }
         let sha256 = sibling.weights_sha256().to_owned();
         let (judged_by, found) = sibling.judgement();

@@ -51,7 +51,13 @@ impl Sums {
     }
 }
 
-/// A card without its checksum and held-out figures: what of it the samples `train` say.
+/// Photons of each sample, where what made the samples has noted them.
+fn histories_of(origin: &str) -> Option<u64> {
+    let made: serde_json::Value = serde_json::from_str(origin).ok()?;
+    made.get("histories")?.as_u64()
+}
+
+/// A card without its checksum, its epoch and its held-out figures: what of it the samples `train` say.
 pub(super) fn card_of(dataset: &Dataset, train: &[usize], recipe: &Recipe) -> Card {
     let both = Mirror { columns: recipe.mirror, rows: recipe.mirror };
     let samples = || train.iter().map(|index| &dataset.samples[*index]);
@@ -81,8 +87,12 @@ pub(super) fn card_of(dataset: &Dataset, train: &[usize], recipe: &Recipe) -> Ca
         weights_sha256: String::new(),
         training_seed: recipe.seed,
         training_epochs: recipe.epochs,
+        kept_epoch: None,
         training_devices: Vec::new(),
         sample_count: train.len(),
+        set_aside: 0,
+        histories_per_sample: histories_of(&dataset.origin),
+        sample_seeds: dataset.asked.clone(),
         specimens: dataset.specimens(train.iter().copied()),
         samples_sha256: dataset.fingerprint(),
         judged_by: match &recipe.hold_out {

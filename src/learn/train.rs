@@ -31,14 +31,17 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     check_output(options)?;
     let dataset = Dataset::read(&options.dataset)?;
     let (train, held_out) = dataset.split(&recipe.hold_out, recipe.seed)?;
-    let card = card_of(&dataset, &train, recipe);
+    let (train, set_aside) = dataset.set_aside(train, recipe.set_aside, recipe.seed)?;
+    let card = Card { set_aside: set_aside.len(), ..card_of(&dataset, &train, recipe) };
     // What is no sibling is refused now; what they say is read when it is written, for they may be in training too.
     siblings::judge(&mut card.clone(), &options.siblings, false)?;
     let layers = recipe.architecture.layers(dataset.channels.len(), dataset.scalar_names.len());
+    let samples = |indices: &[usize]| -> Vec<&Sample> { indices.iter().map(|index| &dataset.samples[*index]).collect() };
     let training = Training {
         options,
         recipe,
-        held_out: held_out.iter().map(|index| &dataset.samples[*index]).collect(),
+        held_out: samples(&held_out),
+        set_aside: samples(&set_aside),
         files: TrainFiles::of(&options.output),
         dataset: &dataset,
         train,
@@ -84,6 +87,8 @@ struct Training<'a> {
     dataset: &'a Dataset,
     train: Vec<usize>,
     held_out: Vec<&'a Sample>,
+    /// What chooses the epoch in place of what is held out, if anything.
+    set_aside: Vec<&'a Sample>,
     card: Card,
     files: TrainFiles,
 }
@@ -93,8 +98,8 @@ impl Learner for Training<'_> {
     type Drawn = Vec<Sample>;
 
     fn pace(&self) -> Pace {
-        let Recipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
-        Pace { epochs: *epochs, batch: *batch, rule: rule.clone(), chooses: hold_out.chooses(), patience: *patience }
+        let Recipe { epochs, batch, rule, patience, .. } = self.recipe;
+        Pace { epochs: *epochs, batch: *batch, rule: rule.clone(), chooses: self.recipe.chooses(), patience: *patience }
     }
 
     fn order(&self, epoch: usize) -> Vec<usize> {
@@ -114,8 +119,9 @@ impl Learner for Training<'_> {
     }
 
     fn judge(&self, parameters: &[f32], _: &Device) -> Result<([Option<f64>; 2], Evaluation), String> {
-        let evaluation = self.evaluate(parameters);
-        let figures = evaluation.as_ref().map(|(figures, _)| figures);
+        let evaluation = self.evaluate(parameters, &self.held_out);
+        let aside = self.evaluate(parameters, &self.set_aside);
+        let figures = aside.as_ref().or(evaluation.as_ref()).map(|(figures, _)| figures);
         Ok(([figures.map(Figures::nmse), figures.map(|figures| figures.nmse_raw)], evaluation))
     }
 
@@ -163,15 +169,15 @@ impl Training<'_> {
     }
 
     /// On the processor, as users will ask it.
-    fn evaluate(&self, parameters: &[f32]) -> Evaluation {
+    fn evaluate(&self, parameters: &[f32], samples: &[&Sample]) -> Evaluation {
         let device = Device::flex();
-        figures_of(&self.network(parameters, &device), &self.card, &self.held_out, self.recipe.batch, &device)
+        figures_of(&self.network(parameters, &device), &self.card, samples, self.recipe.batch, &device)
     }
 
     /// Writes the best parameters of `state`, then their card: until it is there too, a reader meets a checksum that disagrees.
     fn written(&self, state: &State, evaluation: &Evaluation) -> Result<Card, LearnError> {
-        let Some((_, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
-        let mut card = Card { training_devices: state.devices.clone(), ..self.card.clone() };
+        let Some((epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
+        let mut card = Card { training_devices: state.devices.clone(), kept_epoch: Some(*epoch), ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
         card.weights_sha256 = sha256_bytes(&weights);
         if let Some((all, by_specimen)) = evaluation {
@@ -189,7 +195,7 @@ impl Training<'_> {
 
     fn trained(&self, state: &State, end: TrainingEnd) -> Result<Trained, LearnError> {
         let Some((epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
-        let evaluation = self.evaluate(parameters);
+        let evaluation = self.evaluate(parameters, &self.held_out);
         let card = self.written(state, &evaluation)?;
         let held_out = evaluation.map(|(figures, _)| figures);
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out, history: state.history.clone(), end })

@@ -29,6 +29,9 @@ pub struct MaterialsCard {
     /// The devices that it was trained on, in their order; none where nobody noted it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub training_devices: Vec<String>,
+    /// Phantoms that chose the epoch, where what is held out does not.
+    #[serde(default, skip_serializing_if = "crate::infer::card::is_zero")]
+    pub set_aside: usize,
     /// Specimens trained on, sorted; of phantoms their number.
     pub specimens: Vec<String>,
     /// Who said what bone is in them.

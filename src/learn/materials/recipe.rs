@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::infer::materials::MaterialsArchitecture;
-use crate::learn::recipe::{counted, refuse_wrong};
+use crate::learn::recipe::{counted, of_choice, refuse_wrong};
 use crate::learn::{HoldOut, LearnError, StepRule};
 
 /// All that decides the result of a training, together with the specimens.
@@ -26,7 +26,10 @@ pub struct MaterialsRecipe {
     pub phantoms: f64,
     /// What is not trained on; a share of the seeds is one of the phantoms.
     pub hold_out: HoldOut,
-    /// Stop after so many epochs without a better held-out loss, where that chooses.
+    /// Share of the phantoms, rounded up, that is not trained on after all but chooses the epoch, in place of what is held out; 0 for none.
+    #[serde(default)]
+    pub set_aside: f64,
+    /// Stop after so many epochs without a better loss, where one chooses.
     pub patience: Option<usize>,
     /// Phantoms, of simple shapes, that the network is judged by at the end; their seeds are far from those that anybody trains on.
     #[serde(default = "fresh_phantoms")]
@@ -49,6 +52,7 @@ impl Default for MaterialsRecipe {
             rule: StepRule::default(),
             phantoms: 0.35,
             hold_out: HoldOut::Seeds { share: 0.1 },
+            set_aside: 0.0,
             patience: Some(10),
             fresh_phantoms: fresh_phantoms(),
         }
@@ -63,6 +67,7 @@ impl MaterialsRecipe {
             counted("batch", self.batch),
             ("share of phantoms", "0 to 1", self.phantoms, self.phantoms >= 0.0 && self.phantoms <= 1.0),
         ])?;
+        refuse_wrong(&of_choice(self.patience, self.set_aside))?;
         self.rule.check()?;
         self.hold_out.check()
     }

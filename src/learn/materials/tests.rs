@@ -81,6 +81,19 @@ fn a_resumed_training_is_the_straight_one() {
     assert_eq!((chosen.card.judged_by, chosen.card.kept_epoch), (JudgedBy::Seeds, chosen.epoch));
     assert!(chosen.card.held_out["dice bone of fresh phantoms"] < 1.0);
 
+    // Where a specimen is held out, one of the two others chooses in its place.
+    let hold_out = HoldOut::Specimens { names: vec!["phantom-53".to_owned()] };
+    let recipe = MaterialsRecipe { epochs: 4, hold_out, set_aside: 0.4, patience: Some(1), ..short() };
+    let aside = run(&options(folder.path(), "aside", recipe.clone()));
+    let losses: Vec<f64> = aside.history.iter().filter_map(|record| record.held_out).collect();
+    assert!(losses.len() == aside.history.len() && losses.iter().all(|loss| *loss >= losses[aside.epoch - 1]), "{losses:?}");
+    assert_eq!((aside.card.set_aside, aside.card.specimens.clone()), (1, vec!["1 phantoms".to_owned()]));
+    assert_eq!(aside.card.judged_by, JudgedBy::Specimens { names: vec!["phantom-53".to_owned()] });
+    let last = HoldOut::Specimens { names: vec!["phantom-53".to_owned(), "phantom-96".to_owned()] };
+    let none = options(folder.path(), "none", MaterialsRecipe { hold_out: last, ..recipe });
+    let refused = train_materials(&none, &mut |_| ControlFlow::Continue(())).expect_err("nothing is left").to_string();
+    assert!(refused.starts_with("0 samples to train on"), "{refused}");
+
     let one = |name: &str| {
         let hold_out = HoldOut::Specimens { names: vec![name.to_owned()] };
         MaterialsRecipe { epochs: 1, hold_out, ..short() }

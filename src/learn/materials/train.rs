@@ -18,6 +18,7 @@ use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass}
 use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkDevice, NetworkFiles, fetched, weights_file};
 use crate::learn::adam::Adam;
 use crate::learn::checkpoint::State;
+use crate::learn::dataset::shuffle;
 use crate::learn::epochs::{self, Learner, Pace, slopes_of};
 use crate::learn::specimen::LabelledSpecimen;
 use crate::learn::train::check_output;
@@ -51,10 +52,11 @@ pub fn train_materials(
     check_output(options)?;
     let (specimens, samples_sha256) = read(&options.dataset)?;
     let held = held_out(&specimens, &recipe.hold_out, recipe.seed)?;
-    let card = card_of(&specimens, &held, recipe, samples_sha256);
+    let aside = set_aside(&specimens, &held, recipe)?;
+    let card = card_of(&specimens, (&held, &aside), recipe, samples_sha256);
     siblings::judge(&mut card.clone(), &options.siblings, false)?;
     let layers = recipe.materials.layers();
-    let training = Training::new(options, &specimens, &held, card);
+    let training = Training::new(options, &specimens, (&held, &aside), card);
     let mut state = if options.resume && training.files.checkpoint.exists() {
         let count = layers.iter().map(Layer::value_count).sum();
         State::read(&training.files.checkpoint, recipe, &training.card.samples_sha256, count)?
@@ -116,8 +118,35 @@ fn held_out(specimens: &[LabelledSpecimen], hold_out: &HoldOut, seed: u64) -> Re
     Ok(held)
 }
 
-fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsRecipe, samples_sha256: String) -> MaterialsCard {
-    let trained = || specimens.iter().zip(held).filter(|(_, held)| !**held).map(|(specimen, _)| specimen);
+/// Which phantoms of those not held out choose the epoch in their place.
+fn set_aside(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsRecipe) -> Result<Vec<bool>, LearnError> {
+    let mut aside = vec![false; specimens.len()];
+    if !(recipe.set_aside > 0.0) {
+        return Ok(aside);
+    }
+    let is_phantom = |index: &usize| specimens[*index].is_phantom && !held[*index];
+    let mut phantoms: Vec<usize> = (0..specimens.len()).filter(is_phantom).collect();
+    shuffle(&mut phantoms, &mut Stream::new(recipe.seed, 2, 0, Purpose::HeldOut));
+    phantoms.truncate((phantoms.len() as f64 * recipe.set_aside).ceil() as usize);
+    if phantoms.is_empty() {
+        let (setting, expected) = ("number of phantoms that can choose the epoch", "at least 1, or no patience");
+        return Err(LearnError::Setting { setting, expected, found: "0".to_owned() });
+    }
+    phantoms.iter().for_each(|index| aside[*index] = true);
+    if held.iter().zip(&aside).all(|(held, aside)| *held || *aside) {
+        return Err(LearnError::Split { train: 0, held_out: specimens.len() });
+    }
+    Ok(aside)
+}
+
+fn card_of(
+    specimens: &[LabelledSpecimen],
+    (held, aside): (&[bool], &[bool]),
+    recipe: &MaterialsRecipe,
+    samples_sha256: String,
+) -> MaterialsCard {
+    let is_trained: Vec<bool> = held.iter().zip(aside).map(|(held, aside)| !held && !aside).collect();
+    let trained = || specimens.iter().zip(&is_trained).filter(|(_, is_trained)| **is_trained).map(|(specimen, _)| specimen);
     let mut names: Vec<String> = trained().filter(|one| !one.is_phantom).map(|one| one.name.clone()).collect();
     names.sort();
     let phantoms = trained().filter(|one| one.is_phantom).count();
@@ -135,6 +164,7 @@ fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsReci
         training_steps: recipe.steps,
         training_batch: recipe.batch,
         training_devices: Vec::new(),
+        set_aside: aside.iter().filter(|aside| **aside).count(),
         specimens: names,
         truth: TRUTH.to_owned(),
         samples_sha256,
@@ -155,7 +185,7 @@ struct Training<'a> {
     passes: &'static [Pass],
     /// CTs and phantoms trained on, as each pass sees them.
     trained: [Vec<Vec<Prepared>>; 2],
-    /// Patches of what was held out, of each pass.
+    /// Patches of what was set aside, else of what was held out, of each pass.
     judged: Vec<Vec<Patch>>,
     card: MaterialsCard,
     files: TrainFiles,
@@ -165,25 +195,26 @@ impl<'a> Training<'a> {
     fn new(
         options: &'a TrainOptions<MaterialsRecipe>,
         specimens: &[LabelledSpecimen],
-        held: &[bool],
+        (held, aside): (&[bool], &[bool]),
         card: MaterialsCard,
     ) -> Self {
         let recipe = &options.recipe;
         let passes = recipe.materials.passes();
         let prepared = |specimen: &LabelledSpecimen| passes.iter().map(|pass| Prepared::new(specimen, pass)).collect::<Vec<_>>();
-        let (mut trained, mut of_held) = ([Vec::new(), Vec::new()], Vec::new());
-        for (specimen, is_held) in specimens.iter().zip(held) {
-            if *is_held {
-                of_held.push(prepared(specimen));
-            } else {
+        let (mut trained, mut judging) = ([Vec::new(), Vec::new()], Vec::new());
+        let judges = if aside.contains(&true) { aside } else { held };
+        for (index, specimen) in specimens.iter().enumerate() {
+            if judges[index] {
+                judging.push(prepared(specimen));
+            } else if !held[index] {
                 trained[usize::from(specimen.is_phantom)].push(prepared(specimen));
             }
         }
         let judged = passes.iter().enumerate().map(|(place, pass)| {
-            let count = if of_held.is_empty() { 0 } else { JUDGED_PATCHES };
+            let count = if judging.is_empty() { 0 } else { JUDGED_PATCHES };
             let patch = |number: usize| {
                 let mut stream = Stream::new(recipe.seed, 1, (number * passes.len() + place) as u32, Purpose::HeldOut);
-                of_held[number % of_held.len()][place].patch(pass, &mut stream, false)
+                judging[number % judging.len()][place].patch(pass, &mut stream, false)
             };
             (0..count).map(patch).collect()
         });
@@ -290,8 +321,8 @@ impl Learner for Training<'_> {
     type Drawn = Vec<Vec<Patch>>;
 
     fn pace(&self) -> Pace {
-        let MaterialsRecipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
-        let chooses = hold_out.chooses() && self.judged.iter().all(|patches| !patches.is_empty());
+        let MaterialsRecipe { epochs, batch, rule, hold_out, set_aside, patience, .. } = self.recipe;
+        let chooses = (hold_out.chooses() || *set_aside > 0.0) && self.judged.iter().all(|patches| !patches.is_empty());
         Pace { epochs: *epochs, batch: *batch, rule: rule.clone(), chooses, patience: *patience }
     }
 

@@ -6,7 +6,8 @@ use sidecarm::geometry::VoxelGrid;
 use sidecarm::infer::materials::{CLASSES, INPUTS, LoadedMaterials, MaterialsArchitecture, MaterialsCard};
 use sidecarm::infer::{JudgedBy, NetworkDevice, NetworkFiles};
 use sidecarm::learn::LabelledSpecimen;
-use sidecarm::learn::materials::{MaterialsFigures, phantom};
+use sidecarm::learn::materials::{MaterialsFigures, PhantomMesh, phantom};
+use sidecarm::reporter::Reporter;
 
 use crate::log_lab::{sidecarm, text};
 
@@ -176,6 +177,27 @@ fn the_shipped_network_has_the_figures_of_its_card() {
         let said = network.card().held_out[name];
         assert!((value - said).abs() < 2e-3, "{name}: {value} {said}");
     }
+}
+
+/// On phantoms with bones of `SIDECARM_MESHES`, STL files with colons between them: none of those that it was trained on, though of the same
+/// surfaces where these are the data's femora.
+#[test]
+#[ignore = "a minute long: scripts/evaluate materials MESH… runs it"]
+fn the_shipped_network_on_phantoms_with_meshes() {
+    let named = std::env::var("SIDECARM_MESHES").unwrap_or_default();
+    let paths = named.split(':').filter(|path| !path.is_empty());
+    let meshes: Vec<PhantomMesh> = paths
+        .map(|path| PhantomMesh::read(Path::new(path), &Reporter::silent()).unwrap_or_else(|error| panic!("{error}")))
+        .collect();
+    if meshes.is_empty() {
+        println!("skipped: SIDECARM_MESHES names none");
+        return;
+    }
+    let network = LoadedMaterials::shipped(NetworkDevice::default()).expect("it comes with the program");
+    let of = |seed: u64| figures_of(&network, &phantom(seed, &meshes, String::new()));
+    let figures = FRESH.map(of).reduce(MaterialsFigures::and).expect("some").named("");
+    figures.iter().for_each(|(name, value)| println!("{name}: {value:.4}"));
+    assert!(figures["error"] < figures["threshold error"], "{figures:?}");
 }
 
 /// Seeds of the phantoms that every card has figures of.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::render::DeviceArg;
 use crate::gpu::{Device, GpuError};
@@ -84,6 +84,9 @@ struct TrainMaterialsArgs {
     /// Phantoms, drawn for it alone, on which the trained network is judged
     #[arg(long, value_name = "N", default_value_t = MaterialsRecipe::default().fresh_phantoms, conflicts_with = "resume")]
     fresh_phantoms: u64,
+    /// A closed surface of a bone, in mm (repeatable): as many phantoms again, most of them with bones of these
+    #[arg(long, value_name = "FILE.stl", conflicts_with = "resume")]
+    mesh: Vec<PathBuf>,
 }
 
 /// What every training is told.
@@ -192,7 +195,7 @@ fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainErro
 }
 
 fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, TrainError> {
-    let &TrainMaterialsArgs { ref common, epochs, steps, batch, fresh_phantoms } = args;
+    let &TrainMaterialsArgs { ref common, epochs, steps, batch, fresh_phantoms, ref mesh } = args;
     let options = common.options(reporter, |hold_out| {
         let materials = match common.architecture {
             ArchitectureArg::Default => MaterialsArchitecture::Default,
@@ -201,8 +204,19 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
         let standard = MaterialsRecipe::default();
         let hold_out = hold_out.unwrap_or(standard.hold_out);
         let (patience, set_aside) = (common.patience.or(standard.patience), common.set_aside());
-        let seed = common.seed;
-        MaterialsRecipe { materials, seed, epochs, steps, batch, hold_out, patience, set_aside, fresh_phantoms, ..standard }
+        MaterialsRecipe {
+            materials,
+            seed: common.seed,
+            epochs,
+            steps,
+            batch,
+            hold_out,
+            set_aside,
+            patience,
+            fresh_phantoms,
+            meshes: mesh.iter().map(|path| absolute(path)).collect(),
+            ..standard
+        }
     })?;
     let judges = judges(options.recipe.set_aside);
     let trained = followed((common.minutes, judges), reporter, |told| train_materials(&options, told))?;
@@ -210,6 +224,11 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
     let MaterialsCard { judged_by, held_out, .. } = &trained.card;
     say(&trained, (options.recipe.epochs, common.json), (judged_by, held_out), reporter);
     Ok(0)
+}
+
+/// A path as it is found from any folder: a training may go on from another one.
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// What the epochs are judged by, in a word.
@@ -241,9 +260,7 @@ impl CommonArgs {
                 [] => None,
                 names => Some(HoldOut::Specimens { names: names.to_vec() }),
             };
-            // A training may go on from another folder.
-            let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
-            (begun(hold_out), self.sibling.iter().map(whole).collect())
+            (begun(hold_out), self.sibling.iter().map(|path| absolute(path)).collect())
         };
         let device = match (NetworkDevice::of(&Device::open(self.device.into(), reporter)?), self.device) {
             (Err(error), DeviceArg::Auto) => {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{ShardError, SpecimenError};
 use crate::image::ImageFileError;
 use crate::infer::{InferError, TensorFault};
+use crate::scene::SceneError;
 
 /// Why a training cannot begin, go on or be kept.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +44,9 @@ pub enum LearnError {
         /// The folder.
         path: PathBuf,
     },
+    /// A surface of a bone.
+    #[error(transparent)]
+    Mesh(Box<SceneError>),
     /// Two specimens that are one, or are called so: one of them would be trained on where the other is held out.
     #[error("specimen {}: {name} has its name or its voxels; keep one of them in the folder", path.display())]
     SameSpecimen {

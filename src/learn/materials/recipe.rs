@@ -1,5 +1,7 @@
 //! All that decides what the training of a materials network comes to, together with its specimens.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::infer::materials::MaterialsArchitecture;
@@ -34,6 +36,9 @@ pub struct MaterialsRecipe {
     /// Phantoms, of simple shapes, that the network is judged by at the end; their seeds are far from those that anybody trains on.
     #[serde(default = "fresh_phantoms")]
     pub fresh_phantoms: u64,
+    /// STL files of bones, mm: the network is judged by as many phantoms again, most of which have bones of these.
+    #[serde(default)]
+    pub meshes: Vec<PathBuf>,
 }
 
 /// Enough for figures that hardly change with more.
@@ -55,6 +60,7 @@ impl Default for MaterialsRecipe {
             set_aside: 0.0,
             patience: Some(10),
             fresh_phantoms: fresh_phantoms(),
+            meshes: Vec::new(),
         }
     }
 }

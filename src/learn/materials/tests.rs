@@ -73,12 +73,28 @@ fn a_resumed_training_is_the_straight_one() {
     let share = 0.4;
     let held = |seed: &u64| (0..3).filter(|at| Stream::new(*seed, 0, *at, Purpose::HeldOut).uniform() < share).count();
     let seed = (1..40).find(|seed| held(seed) == 1).expect("a seed that holds out one");
-    let recipe =
-        MaterialsRecipe { seed, epochs: 4, hold_out: HoldOut::Seeds { share }, patience: Some(1), fresh_phantoms: 1, ..short() };
-    let chosen = run(&options(folder.path(), "chosen", recipe));
+    let mesh = folder.path().join("wedge.stl");
+    let hold_out = HoldOut::Seeds { share };
+    let recipe = MaterialsRecipe {
+        seed,
+        epochs: 4,
+        hold_out,
+        patience: Some(1),
+        fresh_phantoms: 1,
+        meshes: vec![mesh.clone()],
+        ..short()
+    };
+    let asked = options(folder.path(), "chosen", recipe);
+    let missing = train_materials(&asked, &mut |_| ControlFlow::Continue(())).expect_err("no mesh").to_string();
+    assert!(missing.contains("wedge.stl"), "{missing}");
+    std::fs::write(&mesh, wedge()).expect("written");
+    let chosen = run(&asked);
     let losses: Vec<f64> = chosen.history.iter().filter_map(|record| record.held_out).collect();
     assert!(losses.len() == chosen.history.len() && losses.iter().all(|loss| *loss >= losses[chosen.epoch - 1]), "{losses:?}");
     assert_eq!((chosen.card.judged_by, chosen.card.kept_epoch), (JudgedBy::Seeds, chosen.epoch));
+    let [plain, meshed] =
+        ["", " with meshes"].map(|with| chosen.card.held_out[&format!("threshold error of fresh phantoms{with}")]);
+    assert!(plain > 0.0 && meshed > 0.0 && plain != meshed, "other bones: {plain} {meshed}");
     assert!(chosen.card.held_out["dice bone of fresh phantoms"] < 1.0);
 
     // Where a specimen is held out, one of the two others chooses in its place.
@@ -133,6 +149,17 @@ fn a_resumed_training_is_the_straight_one() {
         let name = format!("other-{fresh_phantoms}");
         refused(&TrainOptions { siblings: vec![paths[1].clone()], ..options(folder.path(), &name, whole) }, "not at its end");
     }
+}
+
+/// A closed surface: the corner of a cube of 60 mm.
+fn wedge() -> String {
+    let corners = [[0, 0, 0], [60, 0, 0], [0, 60, 0], [0, 0, 60]];
+    let vertex = |at: usize| format!("vertex {} {} {}\n", corners[at][0], corners[at][1], corners[at][2]);
+    let facet = |corners: [usize; 3]| {
+        let vertices: String = corners.map(vertex).concat();
+        format!("facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
+    };
+    format!("solid wedge\n{}endsolid wedge\n", [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(facet).concat())
 }
 
 /// The loss falls: sixty steps over patches of one phantom are a beginning.

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use super::figures::MaterialsFigures;
 use super::loss::Batch;
 use super::patch::{Patch, Prepared};
-use super::phantom::phantom;
+use super::phantom::{PhantomMesh, phantom};
 use super::recipe::MaterialsRecipe;
 use crate::image::{hex, sha256_bytes, write_atomically};
 use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
@@ -25,14 +25,15 @@ use crate::learn::train::check_output;
 use crate::learn::{HoldOut, LearnError, Progress, TrainFiles, TrainOptions, Trained, TrainingEnd, siblings};
 use crate::random::{Purpose, Stream};
 use crate::regular;
+use crate::reporter::Reporter;
 
 /// Patches of each pass that an epoch is judged by.
 const JUDGED_PATCHES: usize = 16;
 /// Seed of the first phantom that every network is judged by.
 const FRESH_PHANTOMS: u64 = 4_000_000_000;
 /// What the card says of the truth.
-const TRUTH: &str =
-    "bones of CTs: the labels of their scenes, whoever drew them (often another network), from 100 HU up; of phantoms: exact";
+const TRUTH: &str = "bones of CTs: the labels of their scenes, whoever drew them (often another network), from 100 HU up; of phantoms: exact; \
+                     air and lung: by rule, below -700 HU, whoever tells bone, so that no figure counts them";
 
 /// A trained materials network, and its figures by name.
 pub type TrainedMaterials = Trained<MaterialsCard, BTreeMap<String, f64>>;
@@ -50,6 +51,8 @@ pub fn train_materials(
     let recipe = &options.recipe;
     recipe.check()?;
     check_output(options)?;
+    let meshes = recipe.meshes.iter().map(|path| PhantomMesh::read(path, &Reporter::silent()));
+    let meshes: Vec<PhantomMesh> = meshes.collect::<Result<_, _>>().map_err(|error| LearnError::Mesh(Box::new(error)))?;
     let (specimens, samples_sha256) = read(&options.dataset)?;
     let held = held_out(&specimens, &recipe.hold_out, recipe.seed)?;
     let aside = set_aside(&specimens, &held, recipe)?;
@@ -64,7 +67,7 @@ pub fn train_materials(
         State::new(Adam::drawn(&layers, recipe.seed))
     };
     let end = epochs::run(&training, &options.device, &mut state, told)?;
-    training.trained(&specimens, &held, &state, end)
+    training.trained((&specimens, &held), &meshes, &state, end)
 }
 
 /// The specimens of `folder` by name, and the hash of their files.
@@ -262,8 +265,8 @@ impl<'a> Training<'a> {
 
     fn trained(
         &self,
-        specimens: &[LabelledSpecimen],
-        held: &[bool],
+        (specimens, held): (&[LabelledSpecimen], &[bool]),
+        meshes: &[PhantomMesh],
         state: &State,
         end: TrainingEnd,
     ) -> Result<TrainedMaterials, LearnError> {
@@ -273,18 +276,20 @@ impl<'a> Training<'a> {
         } else {
             let network = LoadedMaterials::new(self.card.clone(), parameters, NetworkDevice::default());
             let held_out = specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen);
-            figures_of(&network, held_out, self.recipe.fresh_phantoms)
+            figures_of(&network, held_out, self.recipe.fresh_phantoms, meshes)
         };
         let card = self.written(state, figures.clone(), end != TrainingEnd::ByCaller)?;
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out: figures, history: state.history.clone(), end })
     }
 }
 
-/// Figures of all of `held_out`, of each CT among them, of its phantoms, and of phantoms that no training sees.
+/// Figures of all of `held_out`, of each CT among them, of its phantoms, and of phantoms that no training sees: of simple shapes, and with bones of
+/// `meshes` where there are any.
 fn figures_of<'a>(
     network: &LoadedMaterials,
     held_out: impl Iterator<Item = &'a LabelledSpecimen>,
     fresh_phantoms: u64,
+    meshes: &[PhantomMesh],
 ) -> BTreeMap<String, f64> {
     let of = |specimen: &LabelledSpecimen| MaterialsFigures::of(specimen, &network.bone(&specimen.volume(), &mut |_, _, _| {}));
     let (mut figures, mut all, mut phantoms) = (BTreeMap::new(), None, None);
@@ -309,9 +314,12 @@ fn figures_of<'a>(
     }
     figures.extend(all.iter().flat_map(|all| all.named("")));
     figures.extend(phantoms.iter().flat_map(|phantoms| phantoms.named(" of phantoms held out")));
-    let fresh = (0..fresh_phantoms).map(|number| of(&phantom(FRESH_PHANTOMS + number, &[], String::new())));
-    let fresh = fresh.reduce(MaterialsFigures::and);
-    figures.extend(fresh.iter().flat_map(|fresh| fresh.named(" of fresh phantoms")));
+    let kinds: [(&[PhantomMesh], &str); 2] = [(&[], " of fresh phantoms"), (meshes, " of fresh phantoms with meshes")];
+    for (bones, name) in kinds.into_iter().take(if meshes.is_empty() { 1 } else { 2 }) {
+        let fresh = (0..fresh_phantoms).map(|number| of(&phantom(FRESH_PHANTOMS + number, bones, String::new())));
+        let fresh = fresh.reduce(MaterialsFigures::and);
+        figures.extend(fresh.iter().flat_map(|fresh| fresh.named(name)));
+    }
     figures
 }
 

@@ -4,9 +4,10 @@ use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
-use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status, square};
+use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Status};
 use super::residual::BeadResidual;
 use super::settle::Settled;
+use super::shadow::{Shadow, square};
 use super::solve::{Free, Solution, about, left_out};
 use super::unseen::Unseen;
 use crate::beads::{Bead, Detection, Landmark};

@@ -39,6 +39,7 @@ mod residual;
 mod rivals;
 mod search;
 mod settle;
+mod shadow;
 mod solve;
 mod start;
 mod straighten;
@@ -63,11 +64,12 @@ pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma, is_pitch};
 pub use on_panel::read_console;
 pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use prior::Prior;
-pub use record::{BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Shadow, Status, TelemetryInnovation};
+pub use record::{BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Status, TelemetryInnovation};
 pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{Looked, intrinsics_of, look, register, register_looked, register_masked, register_shadows, rough_pose};
 pub use request::Registration;
 pub use residual::{BeadResidual, TagResidual};
+pub use shadow::Shadow;
 pub use solve::{Free, IntrinsicsPrior, image_spread, rounded_px};
 pub use together::{
     Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,

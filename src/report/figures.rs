@@ -20,6 +20,8 @@ const PREDICTED: Rgb = [250, 220, 30];
 /// Put or named by a hand.
 const BY_HAND: Rgb = [80, 220, 250];
 const SHADOW: Rgb = [235, 235, 245];
+/// A shadow against whose centre something speaks.
+const FLAGGED: Rgb = [150, 150, 165];
 const RESIDUAL: Rgb = [255, 110, 230];
 const ROBOT: Rgb = [90, 190, 255];
 const LANDMARK: Rgb = [255, 170, 90];
@@ -126,7 +128,7 @@ impl PairMarks {
         self.robot.iter().for_each(|mark| robot(mark, &mut figures));
         figures.extend(self.strays().map(|shadow| {
             let form = Form::Ring { at_px: shadow.image_px, radius_px: shadow.radius_px, width: 1.0 };
-            Figure { tells: Tells::Seen, colour: SHADOW, form }
+            Figure { tells: Tells::Seen, colour: if shadow.flagged { FLAGGED } else { SHADOW }, form }
         }));
         self.beads.iter().for_each(|mark| bead(mark, &mut figures));
         self.landmarks.iter().for_each(|mark| landmark(mark, &mut figures));

@@ -12,8 +12,9 @@ use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
 use crate::pose::cautions::{is_of_looseness, is_of_residuals, larger_residuals};
 use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
-use crate::pose::record::{BodyPose, Pose, square};
+use crate::pose::record::{BodyPose, Pose};
 use crate::pose::residual::BeadResidual;
+use crate::pose::shadow::square;
 use crate::pose::solve::{Free, Solution};
 use crate::pose::unseen::Unseen;
 

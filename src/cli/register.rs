@@ -109,14 +109,18 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
             (None, true) => "",
         };
         let (rms_px, rms_mm) = (number(pose.rms_px, 3), number(pose.rms_mm, 3));
+        let at = |otherwise: &'static str| if pose.source_to_isocentre_mm.is_some() { "isocentre" } else { otherwise };
         if used == 0 {
             let tags = pose.tags.iter().filter(|tag| tag.used).count();
-            lines
-                .push(format!("accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the tags"));
+            lines.push(format!(
+                "accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the {}",
+                at("tags")
+            ));
         } else {
             lines.push(format!(
-                "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the beads, {} accidental matches expected",
+                "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the {}, {} accidental matches expected",
                 pose.beads.iter().filter(|bead| !bead.check).count(),
+                at("beads"),
                 pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
             ));
         }

@@ -191,8 +191,11 @@ pub struct Pose {
     pub bodies: Vec<BodyPose>,
     /// √mean(dx² + dy²) over used beads.
     pub rms_px: Option<f64>,
-    /// The same at the isocentre; the beads' mean depth stands for it: rms_px · depth / f.
+    /// The same in mm: rms_px · depth / f, at the isocentre where its depth is known, else at the mean depth of the used beads.
     pub rms_mm: Option<f64>,
+    /// Depth of the isocentre, at which errors are told in mm; absent where it is not known, or where the beads are not near it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_to_isocentre_mm: Option<f64>,
     /// The error at beads that P has not seen.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unseen: Option<Unseen>,

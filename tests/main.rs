@@ -56,6 +56,7 @@ mod tags_photos;
 mod pose_doubt;
 mod pose_evaluate;
 mod pose_evaluate_prior;
+mod pose_independent;
 mod pose_registration;
 mod pose_intrinsics;
 mod pose_lens;

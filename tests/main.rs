@@ -29,6 +29,7 @@ mod record_log;
 mod record_writer;
 mod register_bad_input;
 mod register_explain;
+mod register_times;
 mod attach_command;
 mod bad_input;
 mod binding;

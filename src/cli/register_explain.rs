@@ -116,6 +116,16 @@ mod tests {
     use crate::geometry::Intrinsics;
     use crate::image::Image;
 
+    #[test]
+    fn what_speaks_against_a_shadow_is_told_with_it() {
+        let flags = crate::beads::Flags { overlapping: true, over_structure: true, ..Default::default() };
+        let flagged = Shadow { radius_px: 4.0, quality: Some(0.25), flags, ..Shadow::default() };
+        let told = lines(&Pose { shadows: vec![flagged, Shadow::default()], ..Pose::default() });
+        let [.., first, second] = told.as_slice() else { panic!("{told:?}") };
+        assert!(first.ends_with("0.250        ?  belongs to no bead, overlapping, over structure"), "{first}");
+        assert!(second.ends_with("belongs to no bead"), "the control: {second}");
+    }
+
     /// What the header says of K, shutters, angles and tube, and what is made of it.
     #[test]
     fn what_the_header_tells_is_named_with_what_counts_instead() {

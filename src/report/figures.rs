@@ -246,6 +246,15 @@ mod tests {
     }
 
     #[test]
+    fn a_flagged_shadow_is_drawn_fainter() {
+        let shadow = |flagged: bool| ShadowMark { rank: 1, image_px: [5.0, 5.0], radius_px: 3.0, snr: 9.0, flagged, bead: None };
+        let marks = PairMarks { shadows: vec![shadow(false), shadow(true)], ..PairMarks::default() };
+        let brightness: Vec<u32> =
+            marks.figures().iter().map(|figure| figure.colour.iter().map(|channel| u32::from(*channel)).sum()).collect();
+        assert!(brightness.len() == 2 && 4 * brightness[1] < 3 * brightness[0], "{brightness:?}");
+    }
+
+    #[test]
     fn arrows_have_heads_that_point_at_their_ends() {
         assert_eq!(arrow([0.0, 0.0], [3.0, 0.0]).len(), 1, "too short");
         let lines = arrow([10.0, 5.0], [30.0, 5.0]);

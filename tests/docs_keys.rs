@@ -9,7 +9,7 @@ use crate::architecture::rust_files;
 const ALL: &[&str] = &[];
 
 /// Sources, and the heading under which the keys of their types stand. No names: every type that refuses unknown keys.
-const DESCRIBED: [(&str, &[&str], &str); 42] = [
+const DESCRIBED: [(&str, &[&str], &str); 44] = [
     ("src/session/file.rs", &[], "Session"),
     ("src/session/servers.rs", &[], "Session"),
     ("src/acquire/video/settings.rs", &[], "Session"),
@@ -21,6 +21,8 @@ const DESCRIBED: [(&str, &[&str], &str); 42] = [
     ("src/scene/optics.rs", &[], "Scene"),
     ("src/scene/model.rs", &[], "Scene"),
     ("src/pose/record.rs", &[], "Pose"),
+    ("src/pose/shadow.rs", &[], "Pose"),
+    ("src/beads/flags.rs", &[], "Pose"),
     ("src/pose/hand_marks.rs", &[], "Pose"),
     ("src/session/edit.rs", &[], "The log"),
     ("src/pose/explained.rs", &[], "Pose"),

@@ -1,13 +1,11 @@
 //! Matches that fit and are wrong: what else the frame shows speaks against them.
 
-use std::path::Path;
-
 use glam::DVec3;
-use sidecarm::acquire::{Domain, Frame, read_frame};
-use sidecarm::beads::{BeadLayout, Detection, read_markups};
-use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
+use sidecarm::acquire::{Domain, Frame};
+use sidecarm::beads::{BeadLayout, Detection};
+use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::image::Image;
-use sidecarm::pose::{Covariance, IntrinsicsFile, Pose, Prior, Refusal, Registration, register, register_shadows};
+use sidecarm::pose::{Covariance, Prior, Refusal, Registration, register, register_shadows};
 
 use crate::pose_registration::{landmark_error_px, matching, reason, shadows};
 use crate::pose_synthetic as synthetic;
@@ -229,61 +227,6 @@ fn a_row_of_beads_clipped_to_black_is_found() {
     assert!(pose.is_accepted(), "{:?}", pose.reason);
     assert_eq!(pose.beads.iter().filter(|bead| bead.used).count(), 9);
     assert!(landmark_error_px(&pose, &view) < 0.5, "{}", landmark_error_px(&pose, &view));
-}
-
-fn json(path: &Path) -> serde_json::Value {
-    serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON")
-}
-
-/// Radiographs that share no code with this program: rod and wire in view, false beads, rectangular shutters. As they are stored, with the
-/// readout noise about zero behind the shutters, and with NaN there.
-#[test]
-fn independent_radiographs_give_p_however_the_shutters_are_stored() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/bead-frames");
-    if !folder.exists() {
-        println!("skipped: {} is absent", folder.display());
-        return;
-    }
-    let mut cases = 0;
-    for case in ["case-00", "case-01", "case-02"] {
-        let case = folder.join(case);
-        let layout = read_markups(&case.join("beads.mrk.json")).expect("beads");
-        let k = IntrinsicsFile::read(&case.join("k.json")).expect("K");
-        let prior = Prior::read(&case.join("prior.json")).expect("a prior");
-        let truth: Projection = serde_json::from_value(json(&case.join("truth.json"))["projection"].clone()).expect("P");
-        let stored = read_frame(&case.join("frame_pedestal4000_u16.tif"), Some(Domain::Linear)).expect("a frame");
-        let share = stored.pixels.map(|value| (value - 4000.0) / 2.5e6);
-        let frame = |pixels: Image<f32>| Frame::from_pixels("float", pixels, Domain::Linear).expect("a frame");
-        let (width, height) = (share.width, share.height);
-        let open = |n: usize| (82..width - 82).contains(&(n % width)) && (42..height - 42).contains(&(n / width));
-        let nan = Image {
-            width,
-            height,
-            pixels: share.pixels.iter().enumerate().map(|(n, v)| if open(n) { *v } else { f32::NAN }).collect(),
-        };
-        let cut = read_frame(&case.join("frame_u16.png"), Some(Domain::Linear)).expect("a frame");
-        let ways = [("stored", stored), ("signed", frame(share)), ("NaN", frame(nan)), ("cut at zero", cut)];
-        // Each way for the first; the others as they are stored.
-        let count = if case.ends_with("case-00") { ways.len() } else { 1 };
-        for (name, frame) in ways.into_iter().take(count) {
-            let pose: Pose = register(
-                &Registration {
-                    intrinsics: Some(k.intrinsics),
-                    pitch_mm: k.pitch_mm,
-                    prior: Some(&prior),
-                    ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
-                },
-                &frame,
-            );
-            assert!(pose.is_accepted(), "{} {name}: {:?}", case.display(), pose.reason);
-            let found = pose.projection.expect("accepted");
-            let off = layout.beads.iter().map(|bead| found.project(bead.lps_mm).0.distance(truth.project(bead.lps_mm).0));
-            let worst = off.fold(0.0, f64::max);
-            assert!(worst < 0.3, "{} {name}: {worst:.3} px", case.display());
-            cases += 1;
-        }
-    }
-    assert_eq!(cases, 6);
 }
 
 /// Inverted pictures whose file still says linear gave `chance` or `too few shadows`, which sends one to the collimator.

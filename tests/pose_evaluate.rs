@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use sidecarm::pose::Refusal;
 
 use crate::pose_mistakes::{Beads, Case, Expected, K, Mistake, WRONG_PX, case, drawn};
+use crate::pose_standing::Accepted;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
@@ -83,10 +84,12 @@ fn evaluate(first: u64, count: u64) -> (Counts, usize, usize) {
     let mut table: BTreeMap<String, Counts> = BTreeMap::new();
     let mut refusals: BTreeMap<String, usize> = BTreeMap::new();
     let mut all = Counts::default();
+    let mut accepted = Accepted::default();
     let (mut right, mut clear) = (0, 0);
     for (seed, case) in &cases {
         let Case { beads, mistake, expected, k, visible, pose, worst_px, wrong_px, .. } = case;
         all.add(case);
+        accepted.add(pose, !(*worst_px <= WRONG_PX), case.nothing_tells);
         let classes = [format!("{mistake:?}"), format!("K {k:?}"), format!("beads {beads:?}"), format!("prior {expected:?}")];
         classes.into_iter().for_each(|class| table.entry(class).or_default().add(case));
         let verdict = case.verdict();
@@ -125,10 +128,12 @@ fn evaluate(first: u64, count: u64) -> (Counts, usize, usize) {
         );
     }
     println!("seeds {first} to {}; no mistake, K and a good prior, but refused: {refusals:?}", first + count - 1);
+    accepted.lines().iter().for_each(|line| println!("{line}"));
     let Counts { cases, right: all_right, refused, green_wrong, cautioned, within_noise, amber_wrong, nothing_tells } = all;
     println!(
         "SUM cases {cases} green_wrong {green_wrong} amber_wrong {amber_wrong} refused {refused} right {all_right} nothing_tells {nothing_tells} \
-         green_wrong_cautioned {cautioned} green_wrong_within_6_sigma {within_noise} clear {clear} clear_right {right}"
+         green_wrong_cautioned {cautioned} green_wrong_within_6_sigma {within_noise} clear {clear} clear_right {right}{}",
+        accepted.sums()
     );
     (all, right, clear)
 }

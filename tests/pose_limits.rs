@@ -12,13 +12,13 @@ use crate::pose_registration::{clutter, landmark_error_px, matching, shadows};
 use crate::pose_synthetic as synthetic;
 
 /// Of the shadows, as drawn and as stated: small beside what is stated of the beads' places.
-const NOISE_PX: f64 = 0.02;
+pub const NOISE_PX: f64 = 0.02;
 /// Numbers of a pose, and of a pose with focal length and principal point.
 const POSE: usize = 6;
 const POSE_AND_K: usize = 9;
 
 /// The layout's z axis is tilted against the line of sight.
-fn tilted_view(tilt_deg: f64) -> View {
+pub fn tilted_view(tilt_deg: f64) -> View {
     let intrinsics = Intrinsics { fx: 3480.0, fy: 3480.0, skew: 0.0, cx: 511.5, cy: 511.5 };
     let turn = Rigid::exp(DVec3::X * tilt_deg.to_radians(), DVec3::ZERO);
     View { size_px: [1024, 1024], intrinsics, camera_from_lps: Rigid::translation(DVec3::Z * 680.0) * turn }
@@ -73,7 +73,7 @@ fn covariance(view: &View, layout: &BeadLayout, sigma_mm: f64, numbers: usize) -
 }
 
 /// Along the worst direction, of the worst of some places.
-fn worst_px(view: &View, layout: &BeadLayout, sigma_mm: f64, places: &[DVec3]) -> f64 {
+pub fn worst_px(view: &View, layout: &BeadLayout, sigma_mm: f64, places: &[DVec3]) -> f64 {
     let covariance = covariance(view, layout, sigma_mm, POSE);
     let sigma_px = |lps_mm: &DVec3| {
         let jacobian = by_camera(view, layout.centroid_lps_mm(), *lps_mm, POSE);
@@ -100,7 +100,7 @@ fn sigma_mm_for(wanted: f64, of: impl Fn(f64) -> f64) -> f64 {
     (0..4).fold(0.1, |sigma_mm, _| sigma_mm * wanted / of(sigma_mm))
 }
 
-fn known_to(mut layout: BeadLayout, sigma_mm: f64) -> BeadLayout {
+pub fn known_to(mut layout: BeadLayout, sigma_mm: f64) -> BeadLayout {
     layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(sigma_mm));
     layout
 }

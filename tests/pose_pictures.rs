@@ -11,6 +11,7 @@ use crate::pose_mistakes::WRONG_PX;
 use crate::pose_pictures_case::{Case, Expected, Layout, Mistake, Recipe, case, worst_px};
 use crate::pose_pictures_draw::{Looks, Values};
 use crate::pose_pictures_scenery::Shutters;
+use crate::pose_standing::Accepted;
 
 /// What is expected of pictures that a lab may ask for, by their prior.
 const CLEAR: [(&str, &[Expected]); 2] =
@@ -110,8 +111,10 @@ fn evaluate(first: u64, count: u64) -> Counts {
     let mut table: BTreeMap<String, Counts> = BTreeMap::new();
     let mut refusals: BTreeMap<String, usize> = BTreeMap::new();
     let mut all = Counts::default();
+    let mut accepted = Accepted::default();
     for case in &cases {
         all.add(case);
+        accepted.add(&case.pose, case.is_wrong(), case.nothing_tells);
         classes(&case.recipe).into_iter().for_each(|class| table.entry(class).or_default().add(case));
         let Case { recipe, visible, clear, pose, worst_px, .. } = case;
         let used = pose.beads.iter().filter(|bead| bead.used).count();
@@ -162,9 +165,11 @@ fn evaluate(first: u64, count: u64) -> Counts {
     }
     let Counts { pictures, green_right, green_wrong, cautioned, amber_right, amber_wrong, nothing_tells, refused } = all;
     println!("seeds {first} to {}", first + count - 1);
+    accepted.lines().iter().for_each(|line| println!("{line}"));
     println!(
         "SUM cases {pictures} green_right {green_right} green_wrong {green_wrong} green_wrong_cautioned {cautioned} amber_right {amber_right} \
-         amber_wrong {amber_wrong} nothing_tells {nothing_tells} refused {refused}{of_clear}"
+         amber_wrong {amber_wrong} nothing_tells {nothing_tells} refused {refused}{of_clear}{}",
+        accepted.sums()
     );
     all
 }

@@ -261,7 +261,8 @@ fn a_bead_that_migrated_is_told_from_a_shadow_that_is_off() {
 
 /// The shadow of a bead's row, which is known as `bead`'s or nobody's.
 fn shadow_of(row: &BeadResidual, bead: Option<String>) -> Shadow {
-    Shadow { image_px: row.image_px.expect("seen"), sigma_px: NOISE_PX, covariance_px2: None, radius_px: 3.8, snr: 30.0, bead }
+    let image_px = row.image_px.expect("seen");
+    Shadow { image_px, sigma_px: NOISE_PX, radius_px: 3.8, snr: 30.0, bead, ..Shadow::default() }
 }
 
 /// Too far away for any single view to name: its shadows belong to no bead in all of them.

@@ -213,6 +213,27 @@ fn check_beads_judge_the_pose_and_do_not_carry_it() {
 }
 
 #[test]
+fn errors_in_mm_are_told_at_the_isocentre_where_it_is_known() {
+    let (view, layout) = (synthetic::view(1024, 1024, 4), synthetic::layout(10, 0.75, 4));
+    let found = shadows(&view, &layout, 0.05, 0.0, 4);
+    let depth_mm = |source_to_isocentre_mm: Option<f64>| {
+        let pose = register_shadows(&Registration { source_to_isocentre_mm, ..matching(&view, &layout) }, &found);
+        let (rms_px, rms_mm) = pose.rms_px.zip(pose.rms_mm).expect("accepted");
+        let unseen = pose.unseen.expect("each bead by the others");
+        assert!((unseen.rms_mm / unseen.rms_px - rms_mm / rms_px).abs() < 1e-12, "both at one depth");
+        (rms_mm / rms_px * view.intrinsics.fx, pose.source_to_isocentre_mm)
+    };
+    let (at_beads_mm, told) = depth_mm(None);
+    assert!(told.is_none() && (600.0..780.0).contains(&at_beads_mm), "{at_beads_mm}, {told:?}");
+    let near_mm = 0.8 * at_beads_mm;
+    let (at_isocentre_mm, told) = depth_mm(Some(near_mm));
+    assert!((at_isocentre_mm - near_mm).abs() < 1e-9 && told == Some(near_mm), "{at_isocentre_mm}, {told:?}");
+    // Half as far away as the beads are: of another exposure.
+    let (far_mm, told) = depth_mm(Some(0.5 * at_beads_mm));
+    assert!((far_mm - at_beads_mm).abs() < 1e-9 && told.is_none(), "{far_mm}, {told:?}");
+}
+
+#[test]
 fn roles_are_read_from_the_description() {
     let points = |roles: [&str; 3]| {
         let rows: Vec<String> =

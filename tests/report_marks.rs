@@ -274,14 +274,8 @@ fn the_strip_of_a_posed_frame_marks_what_its_pose_says() {
 /// Three of four panels said that there was no DRR, and the frame was as small as beside one.
 #[test]
 fn the_strip_of_a_refused_frame_shows_every_shadow_large_with_its_rank_and_why() {
-    let shadow = |image_px: [f64; 2], radius_px: f64, snr: f64| Shadow {
-        image_px,
-        sigma_px: 0.1,
-        covariance_px2: None,
-        radius_px,
-        snr,
-        bead: None,
-    };
+    let shadow =
+        |image_px: [f64; 2], radius_px: f64, snr: f64| Shadow { image_px, sigma_px: 0.1, radius_px, snr, ..Shadow::default() };
     let reason = "too_few_shadows: 3 bead-like shadows in the frame, 4 are needed; bring more beads into the open field";
     let pose = Pose {
         status: Status::Refused,
@@ -338,7 +332,7 @@ fn the_strip_of_a_refused_frame_shows_every_shadow_large_with_its_rank_and_why()
 #[test]
 fn many_shadows_leave_the_strip_as_large_as_it_is() {
     let at = |n: usize| [4.0 + 6.0 * (n % 100) as f64, 5.0 + 30.0 * (n / 100) as f64];
-    let shadow = |n: usize| Shadow { image_px: at(n), sigma_px: 0.1, covariance_px2: None, radius_px: 1.5, snr: 4.0, bead: None };
+    let shadow = |n: usize| Shadow { image_px: at(n), sigma_px: 0.1, radius_px: 1.5, snr: 4.0, ..Shadow::default() };
     let drawn = |count: usize| {
         let pose = Pose { status: Status::Refused, shadows: (0..count).map(shadow).collect(), ..Pose::default() };
         let frame = Frame::from_pixels("flat", Image::filled(620, 480, 0.5f32), Domain::Linear).expect("finite");

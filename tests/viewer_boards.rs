@@ -52,7 +52,7 @@ fn marks() -> PairMarks {
     };
     PairMarks {
         beads: vec![bead("B1", FOUND_PX, true), bead("B2", [60.0, 150.0], false)],
-        shadows: vec![ShadowMark { rank: 3, image_px: [30.0, 30.0], radius_px: 4.0, snr: 6.0, bead: None }],
+        shadows: vec![ShadowMark { rank: 3, image_px: [30.0, 30.0], radius_px: 4.0, snr: 6.0, flagged: false, bead: None }],
         landmarks: vec![LandmarkMark {
             name: "acetabulum".to_owned(),
             image_px: Some(LANDMARK_PX),

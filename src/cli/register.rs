@@ -13,7 +13,7 @@ use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{Pose, Registration, register_masked, register_tagged};
+use crate::pose::{BeadResidual, Pose, Registration, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -109,14 +109,18 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
             (None, true) => "",
         };
         let (rms_px, rms_mm) = (number(pose.rms_px, 3), number(pose.rms_mm, 3));
+        let at = |otherwise: &'static str| if pose.source_to_isocentre_mm.is_some() { "isocentre" } else { otherwise };
         if used == 0 {
             let tags = pose.tags.iter().filter(|tag| tag.used).count();
-            lines
-                .push(format!("accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the tags"));
+            lines.push(format!(
+                "accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the {}",
+                at("tags")
+            ));
         } else {
             lines.push(format!(
-                "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the beads, {} accidental matches expected",
+                "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the {}, {} accidental matches expected",
                 pose.beads.iter().filter(|bead| !bead.check).count(),
+                at("beads"),
                 pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
             ));
         }
@@ -143,16 +147,22 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
     }
     if pose.is_accepted() {
         lines.push(format!("{:16} {:>10} {:>10} {:>9} {:>9} {:>8}", "bead", "u px", "v px", "du px", "dv px", "sigma px"));
+        let of_shadow = |bead: &BeadResidual| {
+            let own = pose.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()));
+            let words = own.map(|shadow| shadow.flags.words().join(", ")).unwrap_or_default();
+            if words.is_empty() { words } else { format!("  its shadow is {words}") }
+        };
         for bead in &pose.beads {
             match (bead.image_px, bead.residual_px) {
                 (Some(at), Some(off)) => lines.push(format!(
-                    "{:16} {:10.3} {:10.3} {:9.3} {:9.3} {:8.3}{}",
+                    "{:16} {:10.3} {:10.3} {:9.3} {:9.3} {:8.3}{}{}",
                     bead.name,
                     at[0],
                     at[1],
                     off[0],
                     off[1],
                     bead.sigma_px.unwrap_or(f64::NAN),
+                    of_shadow(bead),
                     bead.reason.as_deref().map_or(String::new(), |why| format!("  not used: {why}"))
                 )),
                 _ => lines.push(format!("{:16} not used: {}", bead.name, bead.reason.as_deref().unwrap_or("no shadow"))),

@@ -87,7 +87,7 @@ pub struct RegisterArgs {
     /// Points at which the uncertainty is wanted: a 3D Slicer point list
     #[arg(long, value_name = "L.mrk.json")]
     pub landmarks: Option<PathBuf>,
-    /// A picture of the frame: masks tinted, shadows (white), beads used (green) and left out (red), where P puts them (yellow), and
+    /// A picture of the frame: masks tinted, shadows (white, grey where flagged), beads used (green) and left out (red), where P puts them (yellow), and
     /// residuals 20 times as long as they are
     #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(named::png))]
     pub overlay: Option<PathBuf>,

@@ -92,14 +92,19 @@ pub(super) fn lines(pose: &Pose) -> Vec<String> {
         }
     }
     lines.push(format!(
-        "{:>4} {:>10} {:>10} {:>9} {:>9} {:>8}  shadows, best first",
-        "", "u px", "v px", "sigma px", "radius px", "snr"
+        "{:>4} {:>10} {:>10} {:>9} {:>9} {:>8} {:>8} {:>8}  shadows, best first",
+        "", "u px", "v px", "sigma px", "radius px", "snr", "quality", "misfit"
     ));
     lines.extend(pose.shadows.iter().enumerate().map(|(n, shadow)| {
         let [u, v] = shadow.image_px;
         let made_of_it = shadow.bead.as_deref().unwrap_or("belongs to no bead");
-        let Shadow { sigma_px, radius_px, snr, .. } = shadow;
-        format!("{:>4} {u:10.3} {v:10.3} {sigma_px:9.3} {radius_px:9.2} {snr:8.1}  {made_of_it}", n + 1)
+        let Shadow { sigma_px, radius_px, snr, flags, .. } = shadow;
+        let [quality, misfit] = [shadow.quality, shadow.misfit].map(|share| share.map_or("?".to_owned(), |x| format!("{x:.3}")));
+        let told: String = flags.words().iter().map(|words| format!(", {words}")).collect();
+        format!(
+            "{:>4} {u:10.3} {v:10.3} {sigma_px:9.3} {radius_px:9.2} {snr:8.1} {quality:>8} {misfit:>8}  {made_of_it}{told}",
+            n + 1
+        )
     }));
     lines
 }
@@ -110,6 +115,16 @@ mod tests {
     use crate::acquire::{Domain, Frame};
     use crate::geometry::Intrinsics;
     use crate::image::Image;
+
+    #[test]
+    fn what_speaks_against_a_shadow_is_told_with_it() {
+        let flags = crate::beads::Flags { overlapping: true, over_structure: true, ..Default::default() };
+        let flagged = Shadow { radius_px: 4.0, quality: Some(0.25), flags, ..Shadow::default() };
+        let told = lines(&Pose { shadows: vec![flagged, Shadow::default()], ..Pose::default() });
+        let [.., first, second] = told.as_slice() else { panic!("{told:?}") };
+        assert!(first.ends_with("0.250        ?  belongs to no bead, overlapping, over structure"), "{first}");
+        assert!(second.ends_with("belongs to no bead"), "the control: {second}");
+    }
 
     /// What the header says of K, shutters, angles and tube, and what is made of it.
     #[test]

@@ -7,7 +7,8 @@ use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
 use crate::pose::{
-    IntrinsicsFile, IntrinsicsPrior, Panel, Pose, Prior, Registration, intrinsics_of, read_console, solve_console, whole_binning,
+    IntrinsicsFile, IntrinsicsPrior, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of, read_console, solve_console,
+    whole_binning,
 };
 
 /// The focal length of a calibrated panel is hardly off by more than this share of what the frame's header says …
@@ -174,6 +175,7 @@ impl Seen {
             intrinsics: self.intrinsics,
             intrinsics_prior: self.prior,
             pitch_mm: self.pitch_mm,
+            source_to_isocentre_mm: isocentre_of(&self.frame.tags),
             prior,
             ignore_prior: args.ignore_prior,
             one_body: args.one_body,

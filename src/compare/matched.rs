@@ -247,6 +247,7 @@ mod tests {
             radius_px: 12.0,
             snr: 30.0,
             bead: Some(name.to_owned()),
+            ..Shadow::default()
         };
         let shadows = ["stated", "seen"].map(shadow).to_vec();
         let pose = Pose { shadows, intrinsics: Some(full.intrinsics), ..rows };

@@ -4,9 +4,10 @@ use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
-use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status, square};
+use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Status};
 use super::residual::BeadResidual;
 use super::settle::Settled;
+use super::shadow::{Shadow, square};
 use super::solve::{Free, Solution, about, left_out};
 use super::unseen::Unseen;
 use crate::beads::{Bead, Detection, Landmark};
@@ -27,7 +28,8 @@ impl Case<'_> {
         let own = layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, covariance, &unseen, n, bead));
         let checks = layout.checks.iter().map(|bead| self.check(last, covariance, bead));
         let beads: Vec<BeadResidual> = own.chain(checks).collect();
-        let mm_per_px = centroid.z / k.fx;
+        let source_to_isocentre_mm = self.request.isocentre_beside(centroid.z);
+        let mm_per_px = source_to_isocentre_mm.unwrap_or(centroid.z) / k.fx;
         let bodies = BodyPose::of_beads(&beads, |_| Rigid::IDENTITY);
         if bodies.len() > 1 {
             notes.push("beads of several bodies agree as one rigid specimen".to_owned());
@@ -53,6 +55,7 @@ impl Case<'_> {
             bodies,
             rms_px: Some(rms_px),
             rms_mm: Some(rms_px * mm_per_px),
+            source_to_isocentre_mm,
             unseen: Unseen::of(&beads, mm_per_px),
             chi2_per_dof: Some(last.chi2_per_dof),
             chance: Some(accident),

@@ -3,6 +3,7 @@
 
 use glam::DVec2;
 
+use super::isocentre::{DEPTH_TIMES, is_beyond, isocentre_of};
 use super::record::Pose;
 use super::refusal::taller_words;
 use crate::acquire::{CollimatorTags, Frame, FrameTags};
@@ -13,9 +14,6 @@ use crate::mask::opening_in_frame;
 const PIXEL_SHAPE: f64 = 0.01;
 /// The sides of a picture that is turned by more than this, quarters aside, are not those of its pixels.
 const TURNED_RAD: f64 = 1e-3;
-/// A console's distance to the patient is that to the isocentre, as it was built: beads lie on the table below it or at the panel's cover above
-/// it, which is this many times as far from the source.
-const DEPTH_TIMES: f64 = 1.6;
 /// Magnification is of the patient's skin or middle, a hand's breadth and a half from the isocentre that the distance is of.
 const MAGNIFICATION_TIMES: f64 = 1.25;
 /// Share of the frame's longer side by which a shutter may be indicated elsewhere than it is: 2 % of the distance to the detector (21 CFR
@@ -106,9 +104,8 @@ fn other_pixels(frame: &Frame, k: &Intrinsics) -> Option<String> {
 
 /// A specimen that is at another depth by the header, or at two.
 fn other_depth(tags: &FrameTags, depth_mm: f64) -> Option<String> {
-    let is_beyond = |ratio: f64, times: f64| !(1.0 / times..=times).contains(&ratio);
     // A patient who is not before the detector, or is not magnified, is what is written where nothing is known.
-    let by_distance_mm = tags.sod_mm.filter(|sod_mm| tags.sid_mm.is_none_or(|sid_mm| *sod_mm < sid_mm));
+    let by_distance_mm = isocentre_of(tags);
     let magnified = tags.sid_mm.zip(tags.magnification.filter(|times| *times > 1.0));
     let by_magnification_mm = magnified.map(|(sid_mm, times)| sid_mm / times);
     if let (Some(distance_mm), Some(magnified_mm)) = (by_distance_mm, by_magnification_mm)

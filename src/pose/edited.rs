@@ -9,10 +9,11 @@
 
 use super::hand_marks::{ByHand, Edited, HandMark, HandSays, is_meant};
 use super::hand_shadows::HAND_SIGMA_PX;
-use super::record::{Pose, Shadow};
+use super::record::Pose;
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::search::apart;
+use super::shadow::Shadow;
 
 /// A place that a hand put, and on which P does not rest, agrees with P within so many of its standard deviations.
 const AGREES_SIGMAS: f64 = 4.0;

@@ -12,8 +12,8 @@ use super::hand_marks::Edited;
 use super::intrinsics_file::{MOST_PITCH_MM, is_pitch};
 use super::refusal::Refusal;
 use super::residual::{BeadResidual, TagResidual};
+use super::shadow::Shadow;
 use super::unseen::Unseen;
-use crate::beads::Detection;
 use crate::geometry::{ConsoleGeometry, Intrinsics, Projection, Rigid};
 
 /// P and K with the pose, as a file states them, may put a place apart by this much: digits that were cut off.
@@ -32,38 +32,6 @@ pub enum Status {
 
 /// A 6×6 covariance of ξ = (ω, v), rad and mm, in camera_from_lps_true = exp(ξ̂)·camera_from_lps.
 pub type Covariance = [[f64; 6]; 6];
-
-/// A bead-like shadow in the frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Shadow {
-    /// Its centre.
-    pub image_px: [f64; 2],
-    /// Standard deviation of the centre per axis.
-    pub sigma_px: f64,
-    /// Covariance of the centre, columns and rows. A file that states one that is none cannot be read.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "super::residual::covariance_px2")]
-    pub covariance_px2: Option<[[f64; 2]; 2]>,
-    /// Fitted radius.
-    pub radius_px: f64,
-    /// Contrast over the noise.
-    pub snr: f64,
-    /// The bead that it was matched to, if P rests on it.
-    pub bead: Option<String>,
-}
-
-impl Shadow {
-    pub(super) fn of(detection: &Detection, bead: Option<String>) -> Self {
-        let Detection { image_px, sigma_px, radius_px, snr, .. } = *detection;
-        let covariance_px2 = Some(square(detection.noise_px2()));
-        Self { image_px: image_px.to_array(), sigma_px, covariance_px2, radius_px, snr, bead }
-    }
-}
-
-/// A 2×2 covariance from uu, uv, vv.
-pub(super) fn square([uu, uv, vv]: [f64; 3]) -> [[f64; 2]; 2] {
-    [[uu, uv], [uv, vv]]
-}
 
 /// A rigid part and where it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -223,8 +191,11 @@ pub struct Pose {
     pub bodies: Vec<BodyPose>,
     /// √mean(dx² + dy²) over used beads.
     pub rms_px: Option<f64>,
-    /// The same at the isocentre; the beads' mean depth stands for it: rms_px · depth / f.
+    /// The same in mm: rms_px · depth / f, at the isocentre where its depth is known, else at the mean depth of the used beads.
     pub rms_mm: Option<f64>,
+    /// Depth of the isocentre, at which errors are told in mm; absent where it is not known, or where the beads are not near it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_to_isocentre_mm: Option<f64>,
     /// The error at beads that P has not seen.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unseen: Option<Unseen>,

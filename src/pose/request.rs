@@ -25,6 +25,8 @@ pub struct Registration<'a> {
     pub intrinsics_prior: Option<IntrinsicsPrior>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
     pub pitch_mm: Option<f64>,
+    /// From the source to the isocentre: where a pose tells its error in mm. `None`: at the mean depth of the beads.
+    pub source_to_isocentre_mm: Option<f64>,
     /// What an image intensifier did to the frame. Places found in it, or marked by a person, are undistorted before anything is solved:
     /// K, P and all places of the pose are those of the undistorted picture.
     pub distortion: Option<&'a Distortion>,
@@ -56,6 +58,7 @@ impl<'a> Registration<'a> {
             intrinsics: None,
             intrinsics_prior: None,
             pitch_mm: None,
+            source_to_isocentre_mm: None,
             distortion: None,
             prior: None,
             fuse: false,

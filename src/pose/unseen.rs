@@ -24,7 +24,7 @@ pub struct Unseen {
     pub beads: usize,
     /// √mean(dx² + dy²).
     pub rms_px: f64,
-    /// The same at the depth of the beads.
+    /// The same in mm, at the depth at which the pose tells its own.
     pub rms_mm: f64,
     /// The bead that is farthest off in standard deviations, outliers and beads beside whose place there is a shadow among them.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -64,7 +64,7 @@ impl std::fmt::Display for Unseen {
 }
 
 impl Unseen {
-    /// Of the beads of an accepted pose; a pixel is `mm_per_px` at their depth. `None` where no bead was unseen by any pose.
+    /// Of the beads of an accepted pose; a pixel is `mm_per_px` where errors are told in mm. `None` where no bead was unseen by any pose.
     pub(super) fn of(beads: &[BeadResidual], mm_per_px: f64) -> Option<Self> {
         let length = |off: [f64; 2]| off[0].hypot(off[1]);
         let checks: Vec<f64> = beads.iter().filter(|bead| bead.check).filter_map(|bead| bead.residual_px.map(length)).collect();

@@ -20,6 +20,8 @@ const PREDICTED: Rgb = [250, 220, 30];
 /// Put or named by a hand.
 const BY_HAND: Rgb = [80, 220, 250];
 const SHADOW: Rgb = [235, 235, 245];
+/// A shadow against whose centre something speaks.
+const FLAGGED: Rgb = [150, 150, 165];
 const RESIDUAL: Rgb = [255, 110, 230];
 const ROBOT: Rgb = [90, 190, 255];
 const LANDMARK: Rgb = [255, 170, 90];
@@ -126,7 +128,7 @@ impl PairMarks {
         self.robot.iter().for_each(|mark| robot(mark, &mut figures));
         figures.extend(self.strays().map(|shadow| {
             let form = Form::Ring { at_px: shadow.image_px, radius_px: shadow.radius_px, width: 1.0 };
-            Figure { tells: Tells::Seen, colour: SHADOW, form }
+            Figure { tells: Tells::Seen, colour: if shadow.flagged { FLAGGED } else { SHADOW }, form }
         }));
         self.beads.iter().for_each(|mark| bead(mark, &mut figures));
         self.landmarks.iter().for_each(|mark| landmark(mark, &mut figures));
@@ -241,6 +243,15 @@ mod tests {
             assert!((reach(towards) - 20.0 * variance.sqrt()).abs() < 0.1, "{towards}: {}", reach(towards));
         }
         assert!(reach(DVec2::new(cos, -sin)) < 8.0, "control: the mirrored ellipse would reach 10");
+    }
+
+    #[test]
+    fn a_flagged_shadow_is_drawn_fainter() {
+        let shadow = |flagged: bool| ShadowMark { rank: 1, image_px: [5.0, 5.0], radius_px: 3.0, snr: 9.0, flagged, bead: None };
+        let marks = PairMarks { shadows: vec![shadow(false), shadow(true)], ..PairMarks::default() };
+        let brightness: Vec<u32> =
+            marks.figures().iter().map(|figure| figure.colour.iter().map(|channel| u32::from(*channel)).sum()).collect();
+        assert!(brightness.len() == 2 && 4 * brightness[1] < 3 * brightness[0], "{brightness:?}");
     }
 
     #[test]

@@ -38,6 +38,8 @@ pub struct ShadowMark {
     pub radius_px: f64,
     /// Contrast over the noise.
     pub snr: f64,
+    /// Something speaks against its centre.
+    pub flagged: bool,
     /// The bead whose it is, if P rests on that.
     pub bead: Option<String>,
 }
@@ -105,6 +107,7 @@ impl PairMarks {
             image_px: shadow.image_px,
             radius_px: shadow.radius_px,
             snr: shadow.snr,
+            flagged: shadow.flags.any(),
             bead: shadow.bead.clone(),
         });
         // Poses that were written without the covariance have its diagonal.

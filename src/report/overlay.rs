@@ -11,8 +11,8 @@ use crate::pose::Pose;
 
 const MASKED: Rgb = [150, 60, 200];
 
-/// The frame in grey, of its own size. Masked pixels are tinted; thin white circles are shadows that are no bead's, green ones those that P
-/// rests on, red ones those left out; yellow crosses stand where P puts the beads; magenta arrows are residuals, 20 times enlarged, as are
+/// The frame in grey, of its own size. Masked pixels are tinted; thin white circles are shadows that are no bead's (grey where something
+/// speaks against their centre), green ones those that P rests on, red ones those left out; yellow crosses stand where P puts the beads; magenta arrows are residuals, 20 times enlarged, as are
 /// the orange ellipses about landmarks. Refused frames show what was found as well.
 #[must_use]
 pub fn overlay(frame: &Frame, pose: &Pose, masks: &Masks) -> Image<Rgb> {

@@ -46,6 +46,7 @@ pub struct PoseJob {
     /// What the intensifier did to the frame, or why that is not known.
     intensifier: Option<Result<Arc<Intensifier>, String>>,
     pitch_mm: Option<f64>,
+    source_to_isocentre_mm: Option<f64>,
     intrinsics: Option<Intrinsics>,
     /// K is that of the frame's header: what was assumed.
     header: Option<String>,
@@ -65,6 +66,7 @@ impl PoseJob {
             carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
         });
         let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
+        let source_to_isocentre_mm = carm.map(|carm| carm.source_to_isocentre_mm).or_else(|| pose::isocentre_of(&frame.tags));
         let intrinsics = sized.as_ref().and_then(|carm| {
             carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
         });
@@ -87,7 +89,19 @@ impl PoseJob {
             None => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
         };
         let bound = Bound { frame, ..bound };
-        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, header, unfit, camera_from_world }
+        Self {
+            bound,
+            development,
+            known,
+            warnings,
+            intensifier,
+            pitch_mm,
+            source_to_isocentre_mm,
+            intrinsics,
+            header,
+            unfit,
+            camera_from_world,
+        }
     }
 
     /// Which frame.
@@ -132,6 +146,7 @@ impl PoseJob {
         let registration = Registration {
             intrinsics: self.intrinsics,
             pitch_mm: self.pitch_mm,
+            source_to_isocentre_mm: self.source_to_isocentre_mm,
             prior: prior.as_ref(),
             landmarks: &self.known.landmarks,
             bead_radius_mm: self.known.setup.session.bead_radius_mm,

@@ -4,8 +4,9 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Vector2};
 
 use super::setup::{Observation, Setup};
-use crate::pose::record::{Pose, Shadow};
+use crate::pose::record::Pose;
 use crate::pose::residual::noise_px2;
+use crate::pose::shadow::Shadow;
 
 /// A bead is looked for this far from its place, mm.
 const REACH_MM: f64 = 12.0;

@@ -12,8 +12,9 @@ use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
 use crate::pose::cautions::{is_of_looseness, is_of_residuals, larger_residuals};
 use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
-use crate::pose::record::{BodyPose, Pose, square};
+use crate::pose::record::{BodyPose, Pose};
 use crate::pose::residual::BeadResidual;
+use crate::pose::shadow::square;
 use crate::pose::solve::{Free, Solution};
 use crate::pose::unseen::Unseen;
 
@@ -75,6 +76,7 @@ impl Common<'_> {
         let holds = |n: &usize| beads[*n].used && self.lps_from_body(view, *n) == Rigid::IDENTITY;
         let places_mm: Vec<DVec3> = (0..setup.layout.beads.len()).filter(holds).map(|n| setup.layout.beads[n].lps_mm).collect();
         let loose = hold(&solution, &places_mm, at_landmark, &solution.covariance);
+        let mm_per_px = alone.source_to_isocentre_mm.unwrap_or(motion.centre_mm().z) / k.fx;
         let mut pose = Pose {
             projection: Some(Projection::compose(&k, &camera)),
             intrinsics: Some(k),
@@ -83,8 +85,8 @@ impl Common<'_> {
             camera_from_lps: Some(camera),
             bodies,
             rms_px: Some(rms_px),
-            rms_mm: Some(rms_px * motion.centre_mm().z / k.fx),
-            unseen: Unseen::of(&beads, motion.centre_mm().z / k.fx),
+            rms_mm: Some(rms_px * mm_per_px),
+            unseen: Unseen::of(&beads, mm_per_px),
             chi2_per_dof: Some(chi2_per_dof),
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),

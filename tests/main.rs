@@ -220,6 +220,7 @@ mod session_materials;
 #[cfg(feature = "learn")]
 mod session_scatter;
 mod session_names;
+mod session_nulls;
 mod session_parked;
 mod session_robot;
 mod session_silence;
@@ -228,6 +229,7 @@ mod session_signals;
 mod session_slow;
 mod replay_bad_logs;
 mod replay_meddled;
+mod replay_twice;
 mod wire_corruption;
 #[cfg(feature = "learn")]
 mod materials_learn;

@@ -144,6 +144,7 @@ pub fn run(
         registrar_ended: false,
         busy,
         late_said: BTreeSet::new(),
+        dead_said: BTreeSet::new(),
         editor,
         newest_posed: 0,
         faults_this_tick: 0,
@@ -212,6 +213,8 @@ struct Session {
     busy: Busy,
     /// Tasks of which it was said that they are late, or that they hang.
     late_said: BTreeSet<(Task, bool)>,
+    /// Kinds of threads of which it was said that they died.
+    dead_said: BTreeSet<&'static str>,
     /// Who edits beads; absent without a window.
     editor: Option<Editor>,
     /// Number of the newest frame that was handed to be posed.

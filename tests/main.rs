@@ -200,6 +200,7 @@ mod session_hangs;
 mod session_registrar;
 mod session_kill;
 mod dicom_received;
+mod identity_outputs;
 mod igtl_client;
 mod igtl_peer;
 mod igtl_server;

@@ -98,7 +98,7 @@ fn nothing_that_identifies_anybody_comes_out_of_a_session_with_poses_or_of_its_l
         assert!(made.iter().any(|(_, bytes)| bytes.len() > 1000), "{folder} is empty");
         outputs.extend(made);
     }
-    is_found(&outputs, "frame-001", "log info");
+    is_found(&outputs, "accepted", "log info");
     is_found(&outputs, "orbital_deg", "tables");
     holds_no_canary(&outputs);
 }

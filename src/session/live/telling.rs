@@ -36,7 +36,9 @@ impl Session {
             if now_complete > *complete {
                 progress.advance((now_complete - *complete) as u64);
                 *complete = now_complete;
-                self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+                if !progress.is_shown() {
+                    self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+                }
             }
         }
     }

@@ -280,6 +280,15 @@ impl Live {
         Self::spawn(command, session, out, &[])
     }
 
+    /// As [`Live::launch`], where no file of the program or of those that it starts may grow beyond so many blocks of the shell (512 or 1024 bytes).
+    pub fn with_small_files(session: &Path, out: &Path, blocks: u32) -> Self {
+        let mut command = Command::new("sh");
+        // The system ends a program that writes more, unless that does not mind.
+        let script = format!("trap '' XFSZ; ulimit -f {blocks} && exec \"$@\"");
+        command.args(["-c", &script, "sh", env!("CARGO_BIN_EXE_sidecarm")]);
+        Self::spawn(command, session, out, &[])
+    }
+
     /// Waits until telemetry has reached the log.
     pub fn recording(self) -> Self {
         let mut live = self;

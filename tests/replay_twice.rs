@@ -43,7 +43,9 @@ fn slower(costs: &Value) -> Value {
 }
 
 /// Files that a replay wrote, by their place below its folder, and what its plans were predicted to take.
-fn made(out: &Path) -> (BTreeMap<String, Vec<u8>>, Vec<f64>) {
+type Made = (BTreeMap<String, Vec<u8>>, Vec<f64>);
+
+fn made(out: &Path) -> Made {
     let below = format!("{}/", out.display());
     let files = written(out).into_iter().filter_map(|(name, bytes)| Some((name.strip_prefix(&below)?.to_owned(), bytes)));
     let mut files: BTreeMap<String, Vec<u8>> = files.collect();
@@ -84,7 +86,8 @@ fn two_replays_of_a_killed_log_are_byte_identical_whatever_the_machines_cost() {
         assert_eq!(code, Some(3), "a log without its end: {words}");
         results.push(made(&out));
     }
-    let [(one, fast_ms), (two, slow_ms)] = results.try_into().expect("two replays");
+    let results: [Made; 2] = results.try_into().expect("two replays");
+    let [(one, fast_ms), (two, slow_ms)] = results;
     // A GPU's plans predict nothing.
     let is_cpu = String::from_utf8_lossy(&one["drr/001.tif.json"]).contains("\"executor\": \"cpu\"");
     let plans = if is_cpu { FRAMES } else { 0 };

@@ -190,8 +190,12 @@ fn killed_with_its_keeper(attempt: u32) -> Option<Missing> {
     assert!(there.is_some(), "the frame comes into the log: {}", live.stderr());
     std::thread::sleep(Duration::from_millis(700));
     let writes_log = keeper(&live.log).expect("the log has its keeper");
+    // Stopped first: neither comes to do anything when the other is gone.
+    let kill_us = sidecarm::time::host_now_us();
+    rustix::process::kill_process(writes_log, Signal::STOP).expect("it is there");
+    live.program.signal(Signal::STOP);
     rustix::process::kill_process(writes_log, Signal::KILL).expect("it is there");
-    let kill_us = live.kill();
+    live.kill();
     let heard = live.heard();
     let missing = heard.missing(&lab.sent(), live.recording_us, kill_us);
     println!("attempt {attempt}: both killed: {missing:?}, {} images in the log", heard.images);

@@ -138,7 +138,10 @@ mod tests {
     /// What comes next of frames 2, 3 and 1, until there is nothing to do; after each frame its null waits.
     fn made(order: Order) -> Vec<String> {
         let shared = Shared::default();
-        shared.change(|shared| *shared = queue(order, &|queue| (waits(queue, &[2, 3, 1]), queue.closed = true).0));
+        shared.change(|of_shared| {
+            *of_shared = queue(order, &|queue| waits(queue, &[2, 3, 1]));
+            of_shared.closed = true;
+        });
         let (mut made, mut nulls) = (Vec::new(), Vec::new());
         loop {
             match next(&shared, !nulls.is_empty()) {

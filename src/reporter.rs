@@ -218,6 +218,12 @@ impl Progress {
         self.0.set_length(steps);
     }
 
+    /// Whether a person sees it: then nobody needs to be told in lines how far it has come.
+    #[must_use]
+    pub fn is_shown(&self) -> bool {
+        !self.0.is_hidden()
+    }
+
     /// `steps` more are done.
     pub fn advance(&self, steps: u64) {
         self.0.inc(steps);

@@ -58,7 +58,7 @@ const CODES: [(Tag, &str, &str); 12] = [
 ];
 
 /// File names and what of them must not be found.
-const NAMES: [(&str, &[&str]); 9] = [
+pub const NAMES: [(&str, &[&str]); 9] = [
     ("Quaxwelk_0001.dcm", &["quaxwelk"]),
     ("Pfriemkoetter 2.dcm", &["pfriemkoetter", "pfriemk"]),
     ("XA.1.2.826.0.1.3680043771239.445566778", &["445566778"]),
@@ -70,15 +70,21 @@ const NAMES: [(&str, &[&str]); 9] = [
     ("Borvelde-77.dcm", &["borvelde"]),
 ];
 
-fn planted(first: u16) -> InMemDicomObject {
-    let mut object = fluoroscopy();
+/// Names, numbers and dates of a person into a header; what it says of the picture stays.
+pub fn plant_header(object: &mut InMemDicomObject) {
     for (tag, vr, value, _) in HEADER {
         object.put(DataElement::new(tag, vr, PrimitiveValue::from(value)));
     }
+    object.put(DataElement::new(tags::SPECIFIC_CHARACTER_SET, VR::CS, PrimitiveValue::from("ISO_IR 192")));
+}
+
+/// A small frame whose header is full of what must not come out; its pixels start with `first`.
+pub fn planted(first: u16) -> InMemDicomObject {
+    let mut object = fluoroscopy();
+    plant_header(&mut object);
     for (tag, value, _) in CODES {
         object.put(DataElement::new(tag, VR::CS, PrimitiveValue::from(value)));
     }
-    object.put(DataElement::new(tags::SPECIFIC_CHARACTER_SET, VR::CS, PrimitiveValue::from("ISO_IR 192")));
     object.put(DataElement::new(Tag(0x0009, 0x0010), VR::LO, PrimitiveValue::from("PRIVATLOB")));
     object.put(DataElement::new(Tag(0x0009, 0x1001), VR::LO, PrimitiveValue::from("Sesquipedal")));
     object.put(DataElement::new(tags::EXPOSURE_TIME, VR::IS, PrimitiveValue::from("Flunkerbein")));
@@ -200,7 +206,7 @@ pub fn hits(outputs: &[(String, Vec<u8>)], word: &str) -> Vec<String> {
     outputs.iter().filter(|(_, bytes)| contains(bytes)).map(|(name, _)| name.clone()).collect()
 }
 
-fn holds_no_canary(outputs: &[(String, Vec<u8>)]) {
+pub fn holds_no_canary(outputs: &[(String, Vec<u8>)]) {
     let canaries = canaries();
     assert!(canaries.len() >= 40, "{}", canaries.len());
     let found: Vec<_> = canaries.iter().map(|word| (word, hits(outputs, word))).filter(|(_, hits)| !hits.is_empty()).collect();
@@ -208,7 +214,7 @@ fn holds_no_canary(outputs: &[(String, Vec<u8>)]) {
 }
 
 /// What the program prints with these arguments in a folder; it ends with one of the `codes`.
-fn ran(folder: &Path, arguments: &[&str], codes: &[i32]) -> Vec<u8> {
+pub fn ran(folder: &Path, arguments: &[&str], codes: &[i32]) -> Vec<u8> {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm"));
     let output = command.args(arguments).current_dir(folder).output().expect("starts");
     let printed = [output.stdout, output.stderr].concat();

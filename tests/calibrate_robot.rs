@@ -238,7 +238,7 @@ fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
         let scene = load_text(&scene.to_string(), Path::new("scene.json"), false, &Reporter::silent()).expect("a scene");
         let seen = |is_there: bool| {
             let frame = drawn.frame(&lab, n, is_there);
-            tip_in_frame(&frame, &of_frame(&frame), &drawn.poses[n], &scene).expect("metals")
+            tip_in_frame(&frame, &of_frame(&frame), &drawn.poses[n], &scene, &|| false).expect("metals")
         };
         let tip = seen(true).unwrap_or_else(|| panic!("shot {n} shows the robot"));
         let [u, v] = drawn.bent_mm(n);
@@ -249,4 +249,29 @@ fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
         assert_eq!(tip.is_elsewhere(), n == 2, "shot {n}: {tip:?}");
         assert!(seen(false).is_none(), "shot {n}");
     }
+}
+
+/// A frame that comes gets the cores before the tip of another is found, and that one is not said to be unseen.
+#[test]
+fn looking_for_the_tip_ends_within_a_round_where_it_is_cancelled() {
+    let lab = SIX;
+    let drawn = lab.drawn();
+    let mut scene = drawn.scene_json();
+    let robot = &mut scene["objects"][0]["robot"];
+    robot["lps_from_base"] = json!(rigid(&drawn.base));
+    robot["control_angles_deg"] = json!(drawn.snakes[0].angles_deg);
+    let scene = load_text(&scene.to_string(), Path::new("scene.json"), false, &Reporter::silent()).expect("a scene");
+    let frame = drawn.frame(&lab, 0, true);
+    let masks = of_frame(&frame);
+    let found_after = |most: usize| {
+        let asked = std::cell::Cell::new(0);
+        let cancelled = || asked.replace(asked.get() + 1) >= most;
+        (tip_in_frame(&frame, &masks, &drawn.poses[0], &scene, &cancelled), asked.get())
+    };
+    for most in [0, 1, 4] {
+        let (found, asked) = found_after(most);
+        assert!(matches!(found, Err(RobotFitError::Cancelled)) && asked == most + 1, "{most}: {found:?} after {asked}");
+    }
+    let (found, asked) = found_after(usize::MAX);
+    assert!(found.is_ok_and(|tip| tip.is_some()) && asked > 4, "the control: asked {asked} times");
 }

@@ -320,6 +320,12 @@ fn a_null_can_be_cancelled_and_a_failing_render_is_named() {
     };
     let cancelled = found.add_null(counted, &|| renders.get() == 7);
     assert_eq!((cancelled, renders.get()), (Err(NullError::Cancelled { done: 7, total: 44 }), 7));
+    // And while they are scored, where nothing is rendered: the third time that it is asked after all hypotheses.
+    let (hypotheses, asked) = (42, std::cell::Cell::new(0));
+    renders.set(0);
+    let while_scored = || renders.get() == hypotheses && asked.replace(asked.get() + 1) == 2;
+    let cancelled = found.add_null(counted, &while_scored);
+    assert_eq!((cancelled, renders.get()), (Err(NullError::Cancelled { done: hypotheses, total: 44 }), hypotheses));
     let failed = found.add_null(&mut |_| Err("device lost".into()), &|| false);
     assert!(failed.is_err_and(|error| error.to_string().contains("device lost")));
     assert!(found.comparison.null.is_empty());

@@ -7,9 +7,11 @@ use std::process::{Command, Stdio};
 
 use rustix::process::{Pid, kill_process};
 use serde_json::{Value, json as value};
+use sidecarm::image::{Image, read_png_rgb};
+use sidecarm::report::{Pair, restated};
 
 use crate::crosscheck_image::json;
-use crate::crosscheck_session::{Mock, edit};
+use crate::crosscheck_session::{Mock, edit, move_beads, take_ct_away};
 use crate::live_lab::{HANG_S, Signal, eventually, pairs_in};
 use crate::session_demo::mock_is_built;
 use crate::session_names::replay_words;
@@ -79,6 +81,62 @@ fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
         report.contains(robot) && words.contains(robot) && words.contains("with the robot drawn as in the scene file"),
         "{words}"
     );
+}
+
+/// The reverse: the file says LPS, and its numbers are RAS.
+#[test]
+fn beads_that_say_lps_but_hold_ras_are_refused_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, _, words) = live(folder.path(), &[], |lab| {
+        take_ct_away(lab);
+        move_beads(lab, |[x, y, z]| [-x, -y, z]);
+        edit(lab, "session.json", |session| session["world_from_lps"] = Value::Null);
+    });
+    for pair in &pairs {
+        let reason = pair["reason"].as_str().unwrap_or_default();
+        assert!(pair["status"] != "accepted" && pair["pose_source"] != "beads", "{pair}");
+        let told = ["RAS and LPS were swapped", "says LPS but its numbers are RAS", "set its coordinateSystem to \"RAS\""];
+        assert!(told.iter().all(|words| reason.contains(words)), "{reason}");
+    }
+    assert!(words.contains("0 accepted") && words.contains("check: beads and spheres"), "{words}");
+    assert!(words.contains("lost: not one of 3 frames gave a pose by its beads") && words.contains("exit status: 3"), "{words}");
+    assert!(!words.contains("tied to the room"), "{words}");
+}
+
+/// The part of a strip's header in which name and status stand; scores stand to its right.
+fn status_of(strip: &Image<[u8; 3]>) -> Vec<[u8; 3]> {
+    const ROWS: usize = 52;
+    let wide = 6 * strip.width / 10;
+    strip.pixels.chunks_exact(strip.width).take(ROWS).flat_map(|row| row[..wide].iter().copied()).collect()
+}
+
+/// A robot that is drawn as in the scene, for want of its line, was told in `pairs.json` only.
+#[test]
+fn a_robot_that_is_drawn_without_telemetry_is_said_in_the_strips_of_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, ..) = live(folder.path(), &["--no-robot"], take_ct_away);
+    let mut accepted = 0;
+    for row in &pairs {
+        let pair: Pair = serde_json::from_value(row.clone()).expect("a pair");
+        let said = pair.robot_words().unwrap_or_else(|| panic!("nothing of the robot: {row:#}"));
+        let strip = pair.strip.as_ref().expect("a strip");
+        let strip = read_png_rgb(&folder.path().join("lab/session").join(strip)).expect("readable");
+        // What a strip says is drawn: the same words once more are the same picture.
+        let with = |status: &str| status_of(&restated(strip.clone(), &pair.frame, pair.standing(), status));
+        let status = pair.status_line();
+        assert!(status.contains(said), "{status}");
+        assert!(status_of(&strip) == with(&status), "frame {} does not say '{status}'", pair.number);
+        let silent = status.replace(said, "");
+        assert!(silent != status && status_of(&strip) != with(&silent), "control: other words are another picture");
+        accepted += usize::from(pair.is_from_beads());
+    }
+    assert!(accepted >= 2, "{accepted} of {}", pairs.len());
 }
 
 fn change_ct(lab: &Path, change: impl FnOnce(&mut [u8])) {

@@ -268,10 +268,24 @@ impl Live {
         Self::spawn(command, session, out, &[]).recording()
     }
 
-    /// As [`Live::launch`], with parts that die or hang: `breaks` is a list of `PART:NUMBER` (`src/session/fault.rs`).
+    /// As [`Live::launch`], with parts that die, hang or are slow: `breaks` is a list of `PART:NUMBER` (`src/session/fault.rs`).
     pub fn breaking(session: &Path, out: &Path, breaks: &str) -> Self {
+        Self::launch_told(session, out, ("SIDECARM_BREAKS", breaks))
+    }
+
+    /// As [`Live::launch`], with a word in the program's environment.
+    pub fn launch_told(session: &Path, out: &Path, (name, value): (&str, &str)) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-        command.env("SIDECARM_BREAKS", breaks);
+        command.env(name, value);
+        Self::spawn(command, session, out, &[])
+    }
+
+    /// As [`Live::launch`], where no file of the program or of those that it starts may grow beyond so many blocks of the shell (512 or 1024 bytes).
+    pub fn with_small_files(session: &Path, out: &Path, blocks: u32) -> Self {
+        let mut command = Command::new("sh");
+        // The system ends a program that writes more, unless that does not mind.
+        let script = format!("trap '' XFSZ; ulimit -f {blocks} && exec \"$@\"");
+        command.args(["-c", &script, "sh", env!("CARGO_BIN_EXE_sidecarm")]);
         Self::spawn(command, session, out, &[])
     }
 

@@ -8,11 +8,14 @@ use std::process::{Child, Command, Stdio};
 
 use rustix::process::{Pid, kill_process};
 use serde_json::Value;
-use sidecarm::record::{read_log, topic};
+use sidecarm::record::{LogEntry, read_log, topic};
 use sidecarm::time::host_now_us;
 
 use crate::live_lab::{HANG_S, Heard, Lab, Signal, copies, deliver, eventually, pairs_in, quiet_lab};
 use crate::log_lab::replay;
+
+/// A part that died is said within a second, at the next tick of a tenth of one; a machine that gives no core for another second is forgiven.
+const SAID_MS: f64 = 2_000.0;
 
 /// Frames of each session: one before the fault, the one that it befalls, and one after it.
 const FRAMES: usize = 3;
@@ -106,6 +109,22 @@ impl Broken {
         numbers.collect()
     }
 
+    /// Waits until the thread dies; gives the host time at which that was seen.
+    fn death_us(&self) -> i64 {
+        self.waits("its death", || self.printed("stderr").contains("as SIDECARM_BREAKS asks"));
+        host_now_us()
+    }
+
+    /// That the log has `words` once, by its own stamp soon after `death_us`.
+    fn is_said_soon(&self, words: &str, death_us: i64) {
+        let entries = read_log(&self.log()).map(|log| log.entries).unwrap_or_default();
+        let says = |entry: &&LogEntry| &*entry.topic == topic::EVENTS && String::from_utf8_lossy(&entry.data).contains(words);
+        let said_us: Vec<i64> = entries.iter().filter(says).map(|entry| entry.host_us).collect();
+        let after_ms: Vec<f64> = said_us.iter().map(|us| (us - death_us) as f64 * 1e-3).collect();
+        println!("'{words}': {after_ms:.0?} ms after the death was seen, {SAID_MS} allowed");
+        assert!(matches!(after_ms.as_slice(), [ms] if *ms <= SAID_MS), "{after_ms:?}: {words}: {}", self.printed("stderr"));
+    }
+
     fn waits(&self, what: &str, mut fact: impl FnMut() -> bool) {
         let found = eventually(HANG_S, || fact().then_some(()));
         assert!(found.is_some(), "never: {what}: {}", self.printed("stderr"));
@@ -128,6 +147,7 @@ fn dies(lab: &Lab, files: &[PathBuf], part: &Part) {
     live.waits("the first pair", || live.pairs() == 1);
     assert!(!live.printed("stderr").contains("died"), "the control: {}", live.printed("stderr"));
     deliver(&files[1..2], lab);
+    let death_us = live.death_us();
     live.waits(part.said, || live.printed("stderr").contains(part.said));
     let said_us = host_now_us();
     deliver(&files[2..], lab);
@@ -138,6 +158,7 @@ fn dies(lab: &Lab, files: &[PathBuf], part: &Part) {
 
     let (stdout, stderr) = (live.printed("stdout"), live.printed("stderr"));
     let words = format!("{}: {stdout} {stderr}", part.name);
+    live.is_said_soon(part.said.trim_start_matches("warning: "), death_us);
     assert_eq!(status.and_then(|status| status.code()), Some(3), "{words}");
     let heard = Heard::of(&live.log());
     assert!(heard.end_us.is_some() && heard.losses.is_empty(), "{:?} {words}", heard.losses);
@@ -181,6 +202,7 @@ fn reading_dies(lab: &Lab, files: &[PathBuf], thread: &Reading) {
         assert!(!live.printed("stderr").contains("died"), "the control: {}", live.printed("stderr"));
         deliver(&files[1..thread.frames], lab);
     }
+    let death_us = live.death_us();
     live.waits(thread.said, || live.printed("stderr").contains(thread.said));
     let said_us = host_now_us();
     let later = || Heard::of(&live.log()).packets.values().any(|host_us| *host_us > said_us);
@@ -196,6 +218,7 @@ fn reading_dies(lab: &Lab, files: &[PathBuf], thread: &Reading) {
 
     let (stdout, stderr) = (live.printed("stdout"), live.printed("stderr"));
     let words = format!("{}: {stdout} {stderr}", thread.name);
+    live.is_said_soon(thread.said, death_us);
     assert_eq!(status.and_then(|status| status.code()), Some(3), "{words}");
     let heard = Heard::of(&live.log());
     assert!(heard.end_us.is_some() && heard.losses.is_empty(), "{:?} {words}", heard.losses);

@@ -98,10 +98,10 @@ fn an_unplugged_line_comes_back_and_is_said() {
 }
 
 /// A file system of its own; unmounted when the test ends.
-struct Mount(PathBuf);
+pub struct Mount(pub PathBuf);
 
 impl Mount {
-    fn tmpfs(at: &Path, options: &str) -> Option<Self> {
+    pub fn tmpfs(at: &Path, options: &str) -> Option<Self> {
         std::fs::create_dir_all(at).expect("a folder");
         let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(at).output();
         if !mounted.is_ok_and(|output| output.status.success()) {

@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use sidecarm::random::{Purpose, Stream};
 
-use crate::live_lab::{HANG_S, Lab, Live, Missing, deliver, eventually, many_images, quiet_lab};
+use crate::live_lab::{HANG_S, Lab, Live, Missing, Signal, deliver, eventually, keeper, many_images, quiet_lab};
+use crate::log_lab::replay;
 use crate::session_signals::Registrations;
 
 /// A frame that had been complete for so long must be in the log: the folder is looked at every 100 ms, a file must rest for 100 ms, then
@@ -177,6 +178,46 @@ fn many_kills_cost_little_telemetry_and_no_frame() {
     let results = results.into_inner().expect("not poisoned");
     assert_eq!(with_registration(&results), count, "kills with a frame being registered, of {}", results.len());
     judge(&results, WORST_MS);
+}
+
+/// The program and the process that writes its log, killed in the same moment with a frame in the log: telemetry lost.
+fn killed_with_its_keeper(attempt: u32) -> Option<Missing> {
+    let (lab, frame, folder) = quiet_lab("60")?;
+    let lab = lab.without_ct();
+    let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+    deliver(std::slice::from_ref(&frame), &lab);
+    let there = eventually(HANG_S, || (live.heard().images == 1).then_some(()));
+    assert!(there.is_some(), "the frame comes into the log: {}", live.stderr());
+    std::thread::sleep(Duration::from_millis(700));
+    let writes_log = keeper(&live.log).expect("the log has its keeper");
+    // Stopped first: neither comes to do anything when the other is gone.
+    let kill_us = sidecarm::time::host_now_us();
+    rustix::process::kill_process(writes_log, Signal::STOP).expect("it is there");
+    live.program.signal(Signal::STOP);
+    rustix::process::kill_process(writes_log, Signal::KILL).expect("it is there");
+    live.kill();
+    let heard = live.heard();
+    let missing = heard.missing(&lab.sent(), live.recording_us, kill_us);
+    println!("attempt {attempt}: both killed: {missing:?}, {} images in the log", heard.images);
+    assert!(!heard.losses.is_empty() && heard.end_us.is_none(), "a log that was not closed says so");
+    assert_eq!(heard.images, 1, "the frame that was in the log is there");
+    let (code, found) = replay(&live.log, &lab.kit, &folder.path().join("again"));
+    assert_eq!((code, found["frames"].as_u64()), (Some(3), Some(1)), "{found:#}");
+    Some(missing)
+}
+
+/// Nobody is left who could write what had been handed over.
+#[test]
+fn the_program_and_its_keeper_killed_in_one_moment_leave_a_log_that_replays() {
+    for attempt in 1..=2 {
+        let Some(missing) = killed_with_its_keeper(attempt) else { return };
+        assert!(missing.sent > 50, "there was something to lose: {missing:?}");
+        // Once a machine may stand still for a moment.
+        if missing.oldest_ms <= WORST_CROWDED_MS {
+            return;
+        }
+        assert!(attempt < 2, "{missing:?}, {WORST_CROWDED_MS} ms allowed");
+    }
 }
 
 /// Two programs on one output: the second is refused, the first goes on.

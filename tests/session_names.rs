@@ -16,10 +16,10 @@ use crate::live_lab::{HANG_S, Lab, Live, Signal};
 use crate::scene_support::NiftiFile;
 
 /// Folders and files are named after these persons.
-const PERSONS: [&str; 7] = ["quaxwelk", "annegrund", "pfriemk", "wimmelrath", "zettelhuber", "trullgasse", "borvelde"];
+pub const PERSONS: [&str; 7] = ["quaxwelk", "annegrund", "pfriemk", "wimmelrath", "zettelhuber", "trullgasse", "borvelde"];
 
 /// Moves the kit's files to folders and names of persons; gives the session file.
-fn renamed(lab: &Lab) -> PathBuf {
+pub fn renamed(lab: &Lab) -> PathBuf {
     let folder = lab.kit.join("Quaxwelk^Annegrund");
     std::fs::create_dir(&folder).expect("a folder");
     let link = |from: &str, to: &str| std::fs::copy(lab.kit.join(from), folder.join(to)).map(|_| ()).expect("copied");

@@ -9,9 +9,22 @@ use crate::lab_truth::{began_us, file_of, has_its_own_exposure, prior_is_right, 
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 const DURATION_S: f64 = 30.0;
-/// Much longer than telemetry may be old, and long enough to be said while it lasts. An hour is no other case: what is stale after half a
-/// second is stale.
+/// Much longer than telemetry may be old, and long enough to be said while it lasts.
 const AWAY_S: f64 = 5.0;
+const HOUR_S: f64 = 3_600.0;
+/// Packets by which the count may be larger: what was on the way when the plug was pulled, and what a crowded machine lost.
+const SLACK: f64 = 300.0;
+
+/// Samples per second; and once a second a device tells of itself.
+fn samples_per_s(device: DeviceKind) -> f64 {
+    if device == DeviceKind::Carm { 30.0 } else { 100.0 }
+}
+
+/// The most that a device sends while its line is away.
+fn sent_meanwhile(device: DeviceKind) -> f64 {
+    AWAY_S * (samples_per_s(device) + 1.0) + SLACK
+}
+
 /// Of the session, when each plug is pulled: two exposures fall into either time.
 const PULLED: [(DeviceKind, f64, [u32; 2]); 2] = [(DeviceKind::Carm, 0.25, [3, 4]), (DeviceKind::Robot, 0.62, [6, 7])];
 
@@ -23,11 +36,33 @@ fn behind(lab: &Lab, device: DeviceKind) -> Option<PathBuf> {
 /// First the C-arm's plug, then the robot's; both come back as another terminal behind the same path.
 #[test]
 fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have_all() {
-    let faults = PULLED.map(|(device, at, _)| format!("{}:unplug@{at}", device.key())).join(",");
+    for (device, missed) in played("unplug").into_iter().flatten() {
+        let most = sent_meanwhile(device);
+        assert!(missed <= most, "the {device} missed {missed} packets, at most {most} were sent meanwhile");
+    }
+}
+
+/// The same where an hour has passed by the device, whose clock gained 200 ppm: what it counted meanwhile is missed and said, it is not taken for
+/// one that began anew, and nothing of before stands for what comes after.
+#[test]
+fn a_line_that_was_away_for_an_hour_by_its_own_clock_and_count_goes_on() {
+    for (device, missed) in played("away").into_iter().flatten() {
+        let least = HOUR_S * samples_per_s(device);
+        let most = least + sent_meanwhile(device);
+        assert!(
+            (least..=most).contains(&missed),
+            "the {device} missed {missed} packets, {least} to {most} were counted meanwhile"
+        );
+    }
+}
+
+/// Plays a session in which each line has `fault` for a while; gives how many packets of each are said to be missed. `None` (said) where mock-lab
+/// was not built.
+fn played(fault: &str) -> Option<[(DeviceKind, f64); 2]> {
+    let faults = PULLED.map(|(device, at, _)| format!("{}:{fault}@{at}", device.key())).join(",");
     let (duration_s, away_s) = (DURATION_S.to_string(), AWAY_S.to_string());
     let lab = ["--duration-s", &duration_s, "--faults", &faults, "--unplugged-s", &away_s, "--await-all", "--idle-s", "300"];
-    let Some(lab) = Lab::start(&lab) else { return };
-    let lab = lab.without_ct();
+    let lab = Lab::start(&lab)?.without_ct();
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     for (device, ..) in PULLED {
         let gone = eventually(HANG_S, || behind(&lab, device).is_none().then_some(()));
@@ -44,10 +79,9 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
     let (words, report) = (format!("exit code {code:?}: {} {}", live.stdout(), live.stderr()), live.report());
 
     assert_eq!(code, Some(3), "{words}");
+    let missed = PULLED.map(|(device, ..)| (device, missed(&words, device)));
+    assert!(!words.contains("began anew"), "neither device did: {words}");
     for (device, ..) in PULLED {
-        let lost = format!("{device}: ");
-        let line = words.lines().find(|line| line.contains(&lost) && line.contains("missed while it was unplugged"));
-        assert!(line.is_some(), "what the {device} said meanwhile is missed: {words}");
         assert!(report.contains(&format!("{device}: silent for")), "the report says what it cost: {words}");
     }
     // Both lines go on after their silence.
@@ -92,4 +126,15 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
             assert_eq!(pair["robot_source"], "sensed", "{pair:#}");
         }
     }
+    Some(missed)
+}
+
+/// What a session says in the end that it missed of a device.
+fn missed(words: &str, device: DeviceKind) -> f64 {
+    let said = format!("lost: {device}: ");
+    let before = |line: &'_ str| {
+        Some(line.strip_prefix(said.as_str())?.split_once(" packets missed while it was unplugged")?.0.to_owned())
+    };
+    let number = words.lines().find_map(before).and_then(|before| before.rsplit(' ').next()?.parse().ok());
+    number.unwrap_or_else(|| panic!("what the {device} said meanwhile is missed: {words}"))
 }

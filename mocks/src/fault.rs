@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::MockError;
 use crate::pty::Line;
 
-/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`,
+/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`, `Away`), or for good (`Mute`, `Gone`,
 /// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -41,6 +41,8 @@ pub enum FaultKind {
     Delay,
     /// The plug is pulled; [`Channel::unplugged_s`] later there is another pseudo-terminal behind the same link.
     Unplug,
+    /// The same, and by the device an hour has passed when it is back: its clock, which gains 200 ppm meanwhile, and its count went on.
+    Away,
     /// The line stays open, and nothing is sent any more.
     Mute,
     /// The plug is pulled and stays out.
@@ -61,7 +63,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -69,6 +71,7 @@ impl FaultKind {
         Self::Reorder,
         Self::Delay,
         Self::Unplug,
+        Self::Away,
         Self::Mute,
         Self::Gone,
         Self::Freeze,
@@ -90,6 +93,7 @@ impl FaultKind {
             Self::Reorder => "reorder",
             Self::Delay => "delay",
             Self::Unplug => "unplug",
+            Self::Away => "away",
             Self::Mute => "mute",
             Self::Gone => "gone",
             Self::Freeze => "freeze",
@@ -198,7 +202,7 @@ impl Channel {
             }
             Some(FaultKind::Reorder) => self.held = Held::Behind(packet.to_vec()),
             Some(FaultKind::Delay) => self.held = Held::Together { packets: packet.to_vec(), until_s: at_s + DELAY_S },
-            Some(FaultKind::Unplug) => {
+            Some(FaultKind::Unplug | FaultKind::Away) => {
                 self.line.unplug();
                 self.plug_at_s = Some(at_s + self.unplugged_s);
             }

@@ -66,7 +66,7 @@ struct Args {
     exposures: usize,
     /// `default`, `none`, or a list of KIND (those of the script), DEVICE:KIND or DEVICE:KIND@SHARE of the session.
     ///
-    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, mute (silent for good), gone (unplugged for good), freeze (its clock), restart (its clock and its numbers begin anew), jump (its clock, by 5 s), ahead and back (its clock, by an hour), millis (its clock counts milliseconds); devices: carm, robot.
+    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, away (unplugged, and by the device for an hour), mute (silent for good), gone (unplugged for good), freeze (its clock), restart (its clock and its numbers begin anew), jump (its clock, by 5 s), ahead and back (its clock, by an hour), millis (its clock counts milliseconds); devices: carm, robot.
     #[arg(long, default_value = "default", value_name = "LIST")]
     faults: String,
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
@@ -285,7 +285,7 @@ fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
         let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);
         let kind = known.ok_or_else(|| {
             wrong(
-                "not one of drop, flip, tear, duplicate, reorder, delay, unplug, mute, gone, freeze, restart, jump, ahead, back, millis",
+                "not one of drop, flip, tear, duplicate, reorder, delay, unplug, away, mute, gone, freeze, restart, jump, ahead, back, millis",
             )
         })?;
         match (device, share) {

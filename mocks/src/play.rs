@@ -72,6 +72,9 @@ const JUMP_US: u64 = 5_000_000;
 /// What [`FaultKind::Ahead`] adds to it and [`FaultKind::Back`] takes away.
 const HOUR_US: u64 = 3_600_000_000;
 
+/// What a device's clock gains in an hour of [`FaultKind::Away`], at 200 ppm.
+const GAINED_US: u64 = 720_000;
+
 /// How long a device holds its packets back at a time: at least and at most.
 const STALL_S: [f64; 2] = [0.07, 0.15];
 
@@ -120,6 +123,10 @@ pub fn play(
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
                     FaultKind::Back => sender.epoch_us = sender.epoch_us.saturating_sub(HOUR_US),
                     FaultKind::Millis => sender.run_clock_at(now_s, 1e-3),
+                    FaultKind::Away => {
+                        sender.pass_an_hour();
+                        sender.channel.inject(FaultKind::Away);
+                    }
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));
@@ -291,6 +298,12 @@ impl Sender {
         // What is sent late is of before the start.
         let clock_s = (clock_s - self.began_s).max(0.0);
         self.epoch_us + (clock_s * 1e6 * self.clock_rate * (1.0 + self.ppm * 1e-6)) as u64
+    }
+
+    /// What the device did in an hour in which nobody heard it.
+    fn pass_an_hour(&mut self) {
+        self.epoch_us += HOUR_US + GAINED_US;
+        self.sequence = self.sequence.wrapping_add((1e-6 * HOUR_US as f64 / self.period_s).round() as u32);
     }
 
     /// From `now_s` on the clock advances by `rate` seconds in one.

@@ -14,6 +14,7 @@ use crate::scene::{self, Scene};
 use crate::session::Stop;
 use crate::session::crosscheck::{Finding, Level, check_disk, check_listened, check_ports, check_session, check_video, refusal};
 use crate::session::file::{SessionFileError, Setup};
+use crate::session::inputs::InputNames;
 use crate::session::newest::check_newest;
 use crate::session::rehearsal::rehearse;
 use crate::time::Stopwatch;
@@ -139,10 +140,29 @@ struct Loaded {
     layout: Option<BeadLayout>,
 }
 
+/// Tells what was found, under the names that may be shown: folders and files are called after persons more often than not. What the session
+/// file itself is wrong in is said as it was typed.
+struct Teller<'a> {
+    found: &'a Sender<Finding>,
+    names: InputNames,
+}
+
+impl Teller<'_> {
+    fn tell(&self, finding: Finding) {
+        let remedy = finding.remedy.as_deref().map(|remedy| self.names.hide(remedy));
+        let detail = self.names.hide(&finding.detail);
+        // Whoever asked may have given up waiting; what is found then is nobody's.
+        drop(self.found.send(Finding { detail, remedy, ..finding }));
+    }
+
+    fn tell_all(&self, findings: impl IntoIterator<Item = Finding>) {
+        findings.into_iter().for_each(|finding| self.tell(finding));
+    }
+}
+
 /// All checks, one after the other; temporary folders are made in `within`.
 fn work(args: &CheckArgs, within: &Path, reporter: &Reporter, found: &Sender<Finding>) {
-    // Whoever asked may have given up waiting; what is found then is nobody's.
-    let tell = |finding: Finding| drop(found.send(finding));
+    let mut teller = Teller { found, names: InputNames::default() };
     let setup = match Setup::load(&args.session) {
         Ok(setup) => setup,
         Err(error) => {
@@ -150,40 +170,42 @@ fn work(args: &CheckArgs, within: &Path, reporter: &Reporter, found: &Sender<Fin
                 SessionFileError::Io { .. } => "name a session file; `sidecarm session new` makes one",
                 _ => "correct the key that is named",
             };
-            return tell(Finding::fail("session file", error.to_string(), remedy));
+            return teller.tell(Finding::fail("session file", error.to_string(), remedy));
         }
     };
-    tell(Finding::pass("session file", args.session.display().to_string()));
-    check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
-    check_ports(&setup).into_iter().for_each(tell);
-    check_video(&setup, within).into_iter().for_each(tell);
+    teller.names = InputNames::of(&setup, &[]);
+    teller.tell(Finding::pass("session file", "every key is understood"));
+    teller.tell_all(check_disk(&out_folder(args, &setup), &setup.session.frames.folder));
+    teller.tell_all(check_ports(&setup));
+    teller.tell_all(check_video(&setup, within));
     reporter.note("check: listening to the ports, reading files");
     for (_, words) in setup.adapters.unknowns() {
         let remedy = "declare device_time and sequence in the adapter where the device sends them; else this is how it is";
-        tell(Finding::warn("line adapter", words, remedy));
+        teller.tell(Finding::warn("line adapter", words, remedy));
     }
     let lines = check_lines(&check_list(&setup));
-    lines.iter().map(of_line).for_each(tell);
+    teller.tell_all(lines.iter().map(of_line));
     reporter.note("check: loading the scene");
     let mut loaded = Loaded { setup, scene: None, layout: None };
-    load(&mut loaded, &tell);
+    load(&mut loaded, &mut teller);
     for line in lines.iter().filter(|line| line.ok && line.rate_hz.is_some()) {
-        check_listened(&loaded.setup, loaded.scene.as_ref(), &line.listened).into_iter().for_each(tell);
+        teller.tell_all(check_listened(&loaded.setup, loaded.scene.as_ref(), &line.listened));
     }
     let Some(scene) = &loaded.scene else { return };
     let findings = check_session(&loaded.setup, scene, loaded.layout.as_ref());
     if let Some(layout) = &mut loaded.layout {
         layout.refused = refusal(&findings);
     }
-    findings.into_iter().for_each(tell);
+    teller.tell_all(findings);
     reporter.note("check: reading the newest frame");
-    check_newest(&loaded.setup, scene, loaded.layout.as_ref()).into_iter().for_each(tell);
+    teller.tell_all(check_newest(&loaded.setup, scene, loaded.layout.as_ref()));
     let Some(layout) = &loaded.layout else { return };
     reporter.note("check: one synthetic exposure through the whole path");
     match Renderer::new(DeviceChoice::Auto, &Reporter::silent()) {
-        Ok(renderer) => tell(rehearse(&loaded.setup, scene, layout, renderer, within)),
+        Ok(renderer) => teller.tell(rehearse(&loaded.setup, scene, layout, renderer, within)),
         Err(error) => {
-            tell(Finding::fail("synthetic exposure", error.to_string(), "check the graphics driver, or run without a GPU"))
+            let remedy = "check the graphics driver, or run without a GPU";
+            teller.tell(Finding::fail("synthetic exposure", error.to_string(), remedy));
         }
     }
 }
@@ -218,34 +240,38 @@ fn of_line(line: &CheckLine) -> Finding {
     }
 }
 
-fn load(loaded: &mut Loaded, tell: &dyn Fn(Finding)) {
+fn load(loaded: &mut Loaded, teller: &mut Teller) {
     let setup = &loaded.setup;
     let quiet = Reporter::counting();
     match scene::load_text(&setup.scene_json, &setup.scene_path, false, &quiet) {
         Ok(scene) => {
-            tell(Finding::pass("scene", format!("{} objects, {} materials", scene.objects.len(), scene.materials.len())));
+            teller.names = InputNames::of(setup, &scene.inputs);
+            let detail = format!("{} objects, {} materials", scene.objects.len(), scene.materials.len());
+            teller.tell(Finding::pass("scene", detail));
             loaded.scene = Some(scene);
         }
         Err(error) => {
-            tell(Finding::fail("scene", error.to_string(), "correct the scene; `sidecarm info` shows what a file holds"))
+            let remedy = "correct the scene; `sidecarm info` shows what a file holds";
+            teller.tell(Finding::fail("scene", error.to_string(), remedy));
         }
     }
     for (kind, counted) in quiet.warnings() {
-        tell(Finding::warn("scene", format!("{kind}: {}", counted.latest), "see to the file that is named"));
+        teller.tell(Finding::warn("scene", format!("{kind}: {}", counted.latest), "see to the file that is named"));
     }
     match &setup.beads {
-        None => tell(Finding::warn(
+        None => teller.tell(Finding::warn(
             "beads",
             "the session names no beads: every pose will be telemetry's",
             "name a markups file under \"beads\"",
         )),
         Some((path, text)) => match parse_markups(path, text.as_bytes()) {
             Ok(layout) => {
-                tell(Finding::pass("beads", format!("{} beads in {}", layout.beads.len(), path.display())));
+                teller.tell(Finding::pass("beads", format!("{} beads in {}", layout.beads.len(), path.display())));
                 loaded.layout = Some(layout);
             }
             Err(error) => {
-                tell(Finding::fail("beads", error.to_string(), "export the points from Slicer again (.mrk.json or .fcsv)"))
+                let remedy = "export the points from Slicer again (.mrk.json or .fcsv)";
+                teller.tell(Finding::fail("beads", error.to_string(), remedy));
             }
         },
     }

@@ -205,7 +205,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
 
 impl Compared {
     /// Puts every score against its null: at most [`NULL_RENDERS`] renders, each at most [`NULL_WIDTH_PX`] wide. May run after the pair was shown.
-    /// `cancelled` is asked before each render.
+    /// `cancelled` is asked before each render, and before each few of them are scored.
     ///
     /// # Errors
     /// When no view or centre was given, a render fails, has the wrong size or is of another picture, or it is cancelled; the comparison is

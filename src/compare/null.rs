@@ -97,6 +97,9 @@ const UNSEEN_STEP: f64 = 5e-4;
 /// … and of two pictures of different layouts that differ by less than this, errors of the simulation pick one.
 const UNSEEN_LAYOUT: f64 = 1e-2;
 
+/// Renders that are scored side by side: whoever cancels waits for no more.
+const SCORED_AT_ONCE: usize = 8;
+
 /// Goes up whenever the same plan gives other scores.
 const METHOD: u32 = 2;
 
@@ -199,13 +202,16 @@ pub(super) fn null(
     let same_picture: Vec<String> = renders[1..].iter().filter(|picture| unseen(picture)).map(|(name, _)| name.clone()).collect();
     // Renders use all cores one after the other; what they are scored with does not, so that happens side by side.
     let tile_px = (32 / binning as usize).max(8);
-    let mut shifted = score_small(input, &acquired, &usable, renders, tile_px);
+    let done = renders.len();
+    let scored = score_small(input, &acquired, &usable, renders, tile_px, cancelled);
+    let mut shifted = scored.ok_or(NullError::Cancelled { done, total })?;
     let (_, stated) = shifted.remove(0);
     // A pose that is wrong in several directions is only half mended by any one of them: the optimum of each, taken together.
     let best =
         optima(&stated, &shifted, centre_in_camera).map(|(name, motion)| render(at_pose(name, motion * small.camera_from_lps)));
     let best = best.into_iter().collect::<Result<Vec<_>, NullError>>()?;
-    shifted.extend(score_small(input, &acquired, &usable, best, tile_px));
+    let of_best = score_small(input, &acquired, &usable, best, tile_px, cancelled);
+    shifted.extend(of_best.ok_or(NullError::Cancelled { done: total, total })?);
     let wrong = Wrong { shifted: &shifted, known_wrong, same_picture: &same_picture };
     let scores = NULL_SCORES
         .iter()
@@ -312,13 +318,15 @@ struct Standing<'a> {
     ranks: Image<f32>,
 }
 
+/// `None` when `cancelled`, which is asked before each few renders, says so.
 fn score_small(
     input: &NullInput,
     acquired: &Image<f32>,
     usable: &Image<bool>,
     renders: Vec<(String, Image<f32>)>,
     tile_px: usize,
-) -> Vec<(String, Scores)> {
+    cancelled: &dyn Fn() -> bool,
+) -> Option<Vec<(String, Scores)>> {
     let mut known: Vec<Image<bool>> = Vec::new();
     let place = |(name, render): (String, Image<f32>)| {
         let usable = zip(usable, &render, |u, l| *u && l.is_finite());
@@ -338,7 +346,17 @@ fn score_small(
     };
     let standings: Vec<Standing> = known.into_par_iter().map(standing).collect();
     let scores = |(name, render, at): (String, Image<f32>, usize)| (name, score_one(input, &standings[at], &render, tile_px));
-    renders.into_par_iter().map(scores).collect()
+    let (mut scored, mut left) = (Vec::with_capacity(renders.len()), renders.into_iter());
+    loop {
+        let some: Vec<_> = left.by_ref().take(SCORED_AT_ONCE).collect();
+        if some.is_empty() {
+            return Some(scored);
+        }
+        if cancelled() {
+            return None;
+        }
+        scored.par_extend(some.into_par_iter().map(&scores));
+    }
 }
 
 fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_px: usize) -> Scores {

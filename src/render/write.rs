@@ -16,17 +16,26 @@ pub fn write_image(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<()
     write_described(path, rendered, description(rendered, scene), Lasting::AtOnce)
 }
 
-/// The same without anything that differs from run to run: how long it took. A session writes one for each frame, which waits for no disk.
+/// The same without anything that differs from run to run: how long it took, and how long this machine was expected to take. A session writes one
+/// for each frame, which waits for no disk.
 ///
 /// # Errors
 /// As [`write_image`].
 pub fn write_image_without_times(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
     let mut json = description(rendered, scene);
-    if let Some(map) = json.as_object_mut() {
-        map.remove("stages_ms");
-        map.remove("gpu_ms");
-    }
+    take_times_out(&mut json);
     write_described(path, rendered, json, Lasting::Later)
+}
+
+/// Costs by which times are predicted are measured anew now and then, and by every machine.
+fn take_times_out(description: &mut serde_json::Value) {
+    let of: [(&str, &[&str]); 3] =
+        [("", &["stages_ms", "gpu_ms"]), ("/predicted", &["ms"]), ("/plan", &["predicted_ms", "typical_ms"])];
+    for (place, keys) in of {
+        if let Some(map) = description.pointer_mut(place).and_then(serde_json::Value::as_object_mut) {
+            map.retain(|key, _| !keys.contains(&key.as_str()));
+        }
+    }
 }
 
 fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value, lasting: Lasting) -> Result<(), RenderError> {
@@ -124,4 +133,73 @@ pub fn write_picture(path: &Path, rendered: &Rendered) -> Result<(), ImageFileEr
     let (low, high) = (at(0.005), at(0.995));
     let scale = if high > low { 255.0 / (high - low) } else { 0.0 };
     write_png_rgb(path, &page.map(|value| [((value - low) * scale).clamp(0.0, 255.0) as u8; 3]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plan::{Executor, Plan};
+    use super::*;
+    use crate::reporter::Reporter;
+    use crate::scene::load_text;
+    use crate::time::StageTimes;
+    use serde_json::Value;
+
+    /// Keys that name milliseconds, wherever they stand.
+    fn times(value: &Value) -> Vec<String> {
+        match value {
+            Value::Object(map) => {
+                let own = map.keys().filter(|key| *key == "ms" || key.ends_with("_ms")).cloned();
+                own.chain(map.values().flat_map(times)).collect()
+            }
+            Value::Array(list) => list.iter().flat_map(times).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Plans of a killed log are made anew, with costs measured on another day: two replays differed in them.
+    #[test]
+    fn what_a_session_writes_beside_a_drr_holds_no_times() {
+        let scene = r#"{
+            "objects": [{"sphere": {"centre_lps_mm": [0, 0, 0], "radius_mm": 5, "material": "water"}}],
+            "beam": {"mono_kev": 60}, "detector": {"pitch_mm": 0.2}
+        }"#;
+        let scene = load_text(scene, Path::new("scene.json"), false, &Reporter::silent()).expect("a scene");
+        let quantity = Quantity::LineIntegral;
+        let plan = Plan::new(&scene, [2, 2], quantity, Executor::Cpu, 1, None);
+        let plan = Plan { predicted_ms: Some(3.5), typical_ms: Some(4.5), ..plan };
+        let mut stages = StageTimes::default();
+        stages.add("cast", 5.0);
+        let rendered = Rendered {
+            pages: vec![Image::filled(2, 2, 0.0)],
+            quantity,
+            valid: Image::filled(2, 2, 1),
+            guessed: None,
+            plan: serde_json::to_value(&plan).expect("plain data"),
+            adapter: "cpu".to_owned(),
+            stages,
+            gpu_ms: StageTimes::default(),
+            read_back_bytes: 0,
+            stated_error: 1e-5,
+            notes: Vec::new(),
+            scatter: None,
+            non_finite: None,
+            achieved: None,
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("001.tif");
+        let read = || -> Value { serde_json::from_slice(&std::fs::read(beside(&path, "json")).expect("written")).expect("JSON") };
+        write_image(&path, &rendered, &scene).expect("written");
+        let told = read();
+        assert_eq!(times(&told), ["stages_ms", "gpu_ms", "ms", "predicted_ms", "typical_ms"], "the control");
+        write_image_without_times(&path, &rendered, &scene).expect("written");
+        let apart = read();
+        assert_eq!(times(&apart), Vec::<String>::new());
+        assert_eq!(apart["predicted"], serde_json::json!({"error": 1e-5}));
+        let all_but_times = |plan: &Value| {
+            let mut plan = plan.clone();
+            plan.as_object_mut().expect("a map").retain(|key, _| !key.ends_with("_ms"));
+            plan
+        };
+        assert_eq!(apart["plan"], all_but_times(&told["plan"]), "nothing else is left out");
+    }
 }

@@ -11,7 +11,7 @@ use super::file::Setup;
 use super::pair_view::PairView;
 use super::posed::Posed;
 use crate::beads::BeadLayout;
-use crate::calibrate::robot::{SeenTip, tip_in_frame};
+use crate::calibrate::robot::{RobotFitError, SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
@@ -185,16 +185,17 @@ impl Bench {
     }
 
     /// Where the frame shows the drill's tip; a DRR that draws it elsewhere says so. Pictures of an intensifier are not measured: profiles
-    /// across the robot are those of the picture as it is acquired.
-    fn look_for_tip(&self, posed: &Posed, scene: &Scene, pair: &mut Pair) {
+    /// across the robot are those of the picture as it is acquired. False when `cancelled`, which is asked now and then, says so.
+    fn look_for_tip(&self, posed: &Posed, scene: &Scene, pair: &mut Pair, cancelled: &dyn Fn() -> bool) -> bool {
         // A robot that is drawn as in the scene file for want of its angles is nowhere in particular.
         let placeholder = posed.robot.is_none() && self.setup.robot.is_some();
         if scene.robot.is_none() || posed.intensifier.is_some() || placeholder {
-            return;
+            return true;
         }
         let watch = Stopwatch::start();
-        match tip_in_frame(&posed.frame, &posed.masks, &posed.pose, scene) {
+        match tip_in_frame(&posed.frame, &posed.masks, &posed.pose, scene, cancelled) {
             Ok(tip) => pair.tip = tip,
+            Err(RobotFitError::Cancelled) => return false,
             Err(error) => pair.flags.push(format!("the drill's tip was not looked for: {error}")),
         }
         pair.stages_ms.add("tip", watch.ms());
@@ -208,6 +209,7 @@ impl Bench {
             self.reporter.warn(kind, format!("{}: {words}", posed.label()));
             pair.flags.push(words);
         }
+        true
     }
 
     /// The scene at the exposure: as the pose shows it, the robot bent as telemetry says. A body that the scene does not know stays as it was
@@ -258,7 +260,7 @@ impl Bench {
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
     }
 
-    /// Puts each score against its null; `None` when `cancelled`, which is asked before each render, says so.
+    /// Puts each score against its null, and looks for the drill's tip; `None` when `cancelled`, which is asked all the while, says so.
     pub(super) fn add_null(&mut self, mut developed: Developed, cancelled: &dyn Fn() -> bool) -> Option<Developed> {
         developed.complete = true;
         let (Some(compared), Some((drr, scene))) = (developed.compared.as_deref(), developed.drr.clone()) else {
@@ -280,15 +282,18 @@ impl Bench {
                 developed.pair.flags.retain(|flag| flag != UNCHECKED);
                 developed.pair.set_comparison(&compared.comparison);
                 developed.pair.judge_image();
-                if let Some(found) = &developed.pair.image_prefers {
-                    self.reporter.warn("image disagrees", format!("{}: {found}", developed.posed.label()));
-                }
             }
             Err(NullError::Cancelled { .. }) => return None,
             Err(error) => return Some(developed.without_null(&error.to_string())),
         }
         developed.pair.stages_ms.add("null", watch.ms());
-        self.look_for_tip(&developed.posed, &scene, &mut developed.pair);
+        // Nothing is said of a null that is made once more.
+        if !self.look_for_tip(&developed.posed, &scene, &mut developed.pair, cancelled) {
+            return None;
+        }
+        if let Some(found) = &developed.pair.image_prefers {
+            self.reporter.warn("image disagrees", format!("{}: {found}", developed.posed.label()));
+        }
         developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&scene), Some(&compared), None));
         developed.compared = Some(Arc::new(compared));
         Some(developed)

@@ -1,4 +1,4 @@
-//! Threads that die or hang when they are asked to, for the tests of sessions that go on without them. A release build has nothing of it.
+//! Threads that die, hang or are slow when they are asked to, for the tests of sessions that go on without them. A release build has nothing of it.
 //! The environment's `SIDECARM_BREAKS` is a list of `PART:NUMBER`, with commas between them.
 
 #[cfg(debug_assertions)]
@@ -26,6 +26,14 @@ pub(super) fn hangs(part: &'static str) {
     }
 }
 
+/// Takes as many milliseconds longer as are asked for, every time.
+#[cfg(debug_assertions)]
+pub(super) fn lags(part: &str) {
+    if let Some(ms) = asked(part) {
+        std::thread::sleep(std::time::Duration::from_millis(ms.into()));
+    }
+}
+
 /// Does nothing.
 #[cfg(not(debug_assertions))]
 pub(super) fn breaks(_part: &str, _count: u32) {}
@@ -33,3 +41,7 @@ pub(super) fn breaks(_part: &str, _count: u32) {}
 /// Does nothing.
 #[cfg(not(debug_assertions))]
 pub(super) fn hangs(_part: &'static str) {}
+
+/// Does nothing.
+#[cfg(not(debug_assertions))]
+pub(super) fn lags(_part: &str) {}

@@ -63,6 +63,12 @@ pub(super) enum Times {
     Apart,
 }
 
+/// How long the stages of a frame took, and how long this machine was expected to take for the DRR.
+struct Timing {
+    stages: StageTimes,
+    predicted_ms: Option<f64>,
+}
+
 /// The strip of a pair whose null is to come: what it says may change, and each strip is written once.
 struct WaitingStrip {
     strip: Arc<Image<[u8; 3]>>,
@@ -82,7 +88,7 @@ pub(super) struct Collector {
     replaced: BTreeMap<u32, u32>,
     report: SessionReport,
     left_out: LeftOut,
-    timings: BTreeMap<u32, StageTimes>,
+    timings: BTreeMap<u32, Timing>,
     /// Strips that are not written yet.
     waiting: BTreeMap<u32, WaitingStrip>,
     /// Files that could not be written.
@@ -196,7 +202,8 @@ impl Collector {
             self.views.insert(number, view);
         }
         self.developments.insert(number, developed.posed.development);
-        self.timings.insert(number, pair.stages_ms.clone());
+        let predicted_ms = developed.drr.as_ref().and_then(|(drr, _)| drr.plan["predicted_ms"].as_f64());
+        self.timings.insert(number, Timing { stages: pair.stages_ms.clone(), predicted_ms });
         if self.times == Times::Apart {
             pair.stages_ms = StageTimes::default();
         }
@@ -286,8 +293,11 @@ impl Collector {
 
     /// How long each stage of each frame took.
     fn write_timings(&self) -> Result<(), crate::image::ImageFileError> {
-        let frames: Vec<_> =
-            self.timings.iter().map(|(number, stages)| serde_json::json!({"number": number, "stages_ms": stages})).collect();
+        let row = |(number, timing): (&u32, &Timing)| {
+            let Timing { stages, predicted_ms } = timing;
+            serde_json::json!({"number": number, "stages_ms": stages, "predicted_ms": predicted_ms})
+        };
+        let frames: Vec<_> = self.timings.iter().map(row).collect();
         let text = serde_json::json!({ "frames": frames }).to_string();
         write_lasting(&self.path.join("timings.json"), Lasting::Later, |file| file.write_all(text.as_bytes()))
     }

@@ -58,6 +58,9 @@ impl InputNames {
                 Ok(PortAddress::Udp(_)) | Err(_) => {}
             }
         }
+        if let Some(video) = session.frames.video.as_ref().filter(|video| !video.from.starts_with("/dev/")) {
+            hide(&mut hidden, Path::new(&video.from), "the video");
+        }
         for (input, logged) in &names.inputs {
             let Some(place) = &input.place else { continue };
             hide(&mut hidden, Path::new(&input.path), &logged.label);

@@ -1,4 +1,7 @@
 //! From the messages of a log to the inputs of its session.
+//!
+//! A replay meets a session here, at the engine, and not at its sources of bytes and frames: when a port was opened, how bytes were cut, which of two
+//! lines came first and when a frame was seen is what sources decide, and what the log keeps. Sources that played it would decide it anew.
 
 use std::sync::Arc;
 

@@ -28,6 +28,7 @@ pub(super) fn start_registrar(log: Arc<SessionLog>, reporter: &Reporter) -> Resu
             for job in inbox {
                 fault::breaks("registrar", job.number());
                 fault::hangs("register");
+                fault::lags("slow-register");
                 let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
                 let registered = attempt.unwrap_or_else(|_| {
                     Registered::failed(job, "looking for beads failed (a fault of this program); the log has the frame")

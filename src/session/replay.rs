@@ -17,6 +17,7 @@ use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::image_difference::{ImageDifference, difference};
 use super::input::{Input, Output};
+use super::jobs::Order;
 use super::log::{CLOCK_TOPIC, END_TOPIC, PoseRecord};
 use super::log_inputs::LogInputs;
 use super::losses::none_accepted;
@@ -95,7 +96,7 @@ pub fn run(
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
     let broadcast = Broadcast::open(options.igtl.as_ref(), Whereabouts::new(&setup, workshop.robot()), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
-    workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
+    workshop.start(Order::AsHandedIn, move |pair| pairs.send(pair).is_ok())?;
     let replay = Replay {
         engine: engine(&setup, &workshop, &recorded, &options.out, reporter),
         board: ReplayBoard::open(board, &setup),
@@ -111,6 +112,7 @@ pub fn run(
         without_pixels: BTreeSet::new(),
         has_end: false,
         rendered: BTreeMap::new(),
+        scored: BTreeMap::new(),
         samples: Samples::default(),
         inputs: LogInputs::default(),
         recorded,
@@ -160,6 +162,8 @@ struct Replay<'a> {
     has_end: bool,
     /// The last DRR of each frame against the log's.
     rendered: BTreeMap<u32, AgainstLog>,
+    /// Whether the last scores of each frame are the log's.
+    scored: BTreeMap<u32, bool>,
     samples: Samples,
     inputs: LogInputs,
 }
@@ -342,12 +346,7 @@ impl Replay<'_> {
         let Some(then) = self.recorded.scores.get(&number).filter(|_| developed.complete && is_same) else { return };
         let again = (number, 1);
         let once = !self.recorded.poses.contains_key(&again) && !self.seen.contains(&again);
-        self.report.scores_different.retain(|other| *other != number);
-        if then.agrees(&developed.pair, once) {
-            self.report.scores_identical += 1;
-        } else {
-            self.report.scores_different.push(number);
-        }
+        self.scored.insert(number, then.agrees(&developed.pair, once));
     }
 
     fn finish(
@@ -382,6 +381,12 @@ impl Replay<'_> {
             let detail = Some("the log has its hash, but not its pixels".to_owned());
             let unknown = ImageDifference { number, largest_nepers: None, bound, detail };
             self.report.images_different.push(differences.remove(&number).unwrap_or(unknown));
+        }
+        for (number, is_same) in &self.scored {
+            match is_same {
+                true => self.report.scores_identical += 1,
+                false => self.report.scores_different.push(*number),
+            }
         }
         let has_pixels = |number: &u32| !self.without_pixels.contains(number);
         let not_rendered = self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number));

@@ -1,9 +1,8 @@
-//! The workshop: a thread that turns posed frames into pairs, the newest first, and makes their nulls when no frame waits.
+//! The workshop: a thread that turns posed frames into pairs and makes their nulls; in a session the newest first, and nulls when no frame waits.
 
-use std::cmp::Reverse;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use super::SessionError;
 use super::background::stand_back;
@@ -15,6 +14,7 @@ use super::developed::Developed;
 use super::fault;
 use super::file::Setup;
 use super::inputs::InputNames;
+use super::jobs::{Job, Next, Order, Shared, next};
 use super::posed::Posed;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
@@ -24,52 +24,8 @@ use crate::scene::model::ScatterModel;
 use crate::scene::{self, Robot, Scene};
 use crate::transport::NetworkScatter;
 
-/// A frame, and the plan to execute where a log has one.
-struct Job {
-    posed: Posed,
-    plan: Option<Plan>,
-}
-
 /// Pairs that wait for their null, with pictures; an older one is completed without.
 const MOST_NULLS: usize = 12;
-
-#[derive(Default)]
-struct Queue {
-    jobs: Vec<Job>,
-    /// A frame is being developed.
-    busy: bool,
-    /// No more frames will come.
-    closed: bool,
-    /// What is left is not wanted any more.
-    abandoned: bool,
-    /// The thread has ended.
-    ended: bool,
-}
-
-impl Queue {
-    /// Whether a null that is being made is left for later: somebody looks at the frame that waits, and nobody at the null.
-    fn puts_nulls_off(&self) -> bool {
-        self.abandoned || !self.jobs.is_empty()
-    }
-}
-
-#[derive(Default)]
-struct Shared {
-    queue: Mutex<Queue>,
-    changed: Condvar,
-    busy: Busy,
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Queue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn change(&self, change: impl FnOnce(&mut Queue)) {
-        change(&mut self.lock());
-        self.changed.notify_all();
-    }
-}
 
 /// Renders and compares on a thread of its own.
 pub struct Workshop {
@@ -135,18 +91,19 @@ impl Workshop {
         Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, robot, adapter, network_sha256, names })
     }
 
-    /// Starts the thread, which first warms up where `warm` says so; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
+    /// Starts the thread; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
     ///
     /// # Errors
     /// When the thread cannot be started, or was.
-    pub fn start(&mut self, warm: bool, sink: impl FnMut(Developed) -> bool + Send + 'static) -> Result<(), SessionError> {
+    pub fn start(&mut self, order: Order, sink: impl FnMut(Developed) -> bool + Send + 'static) -> Result<(), SessionError> {
         let bench = self.bench.take().ok_or(SessionError::WorkshopDied)?;
+        self.shared.change(|queue| queue.order = order);
         let shared = Arc::clone(&self.shared);
         let thread = std::thread::Builder::new().name("workshop".to_owned()).spawn(move || {
             let _ended = Ended(&shared);
             stand_back();
             let mut bench = bench;
-            if warm {
+            if order == Order::NewestFirst {
                 let _at_work = shared.busy.begin(Task::Warming);
                 // A fault in it shows again with the first frame.
                 let waits = || !shared.lock().jobs.is_empty();
@@ -195,10 +152,11 @@ impl Workshop {
                 return;
             }
             // Of a frame that is edited step by step, the last step is looked at.
+            let may_pass = queue.order == Order::NewestFirst;
             queue.jobs.retain(|Job { posed: other, plan }| {
                 // What a log has a plan for was drawn in its session.
                 let is_older = plan.is_none() && other.number == posed.number && other.development < posed.development;
-                !(is_older && [other, &posed].iter().any(|posed| posed.pose.edited.is_some()))
+                !(may_pass && is_older && [other, &posed].iter().any(|posed| posed.pose.edited.is_some()))
             });
             queue.jobs.push(Job { posed, plan });
         });
@@ -209,6 +167,14 @@ impl Workshop {
     pub fn open_jobs(&self) -> usize {
         let queue = self.shared.lock();
         queue.jobs.len() + usize::from(queue.busy)
+    }
+
+    /// Whether frames are on their way here, for which nulls are put off.
+    pub(super) fn await_frames(&self, are_coming: bool) {
+        let is_news = self.shared.lock().awaits != are_coming;
+        if is_news {
+            self.shared.change(|queue| queue.awaits = are_coming);
+        }
     }
 
     /// Whether the thread has ended, for whatever reason.
@@ -257,41 +223,10 @@ impl Drop for Ended<'_> {
     }
 }
 
-enum Next {
-    Frame(Box<Job>),
-    /// No frame waits.
-    Idle,
-    End,
-}
-
-fn next(shared: &Shared, may_wait: bool) -> Next {
-    let mut queue = shared.lock();
-    loop {
-        queue.busy = false;
-        if queue.abandoned {
-            return Next::End;
-        }
-        // The newest frame is the one that somebody looks at.
-        let order = |job: &Job| (job.posed.number, Reverse(job.posed.development));
-        let newest = (0..queue.jobs.len()).max_by_key(|index| order(&queue.jobs[*index]));
-        if let Some(newest) = newest {
-            queue.busy = true;
-            return Next::Frame(Box::new(queue.jobs.swap_remove(newest)));
-        }
-        if !may_wait {
-            return Next::Idle;
-        }
-        if queue.closed {
-            return Next::End;
-        }
-        queue = shared.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
-    }
-}
-
 fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bool) {
     let mut nulls: VecDeque<Developed> = VecDeque::new();
     loop {
-        let developed = match next(shared, nulls.is_empty()) {
+        let developed = match next(shared, !nulls.is_empty()) {
             Next::Frame(job) => {
                 let Job { posed, plan } = *job;
                 fault::breaks("workshop", posed.number);
@@ -310,7 +245,7 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
                 }
                 developed
             }
-            Next::Idle => {
+            Next::Null => {
                 let Some(developed) = nulls.pop_back() else { continue };
                 let cancelled = || shared.lock().puts_nulls_off();
                 let at_work = shared.busy.begin(Task::Null(developed.posed.number));
@@ -337,24 +272,5 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
         {
             return;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_null_is_put_off_for_a_frame_that_waits_and_for_nothing_else() {
-        let queue = |change: &dyn Fn(&mut Queue)| {
-            let mut queue = Queue::default();
-            change(&mut queue);
-            queue.puts_nulls_off()
-        };
-        assert!(queue(&|queue| queue.jobs.push(Job { posed: Posed::bare(1), plan: None })), "a frame waits");
-        assert!(queue(&|queue| queue.abandoned = true), "nothing is wanted any more");
-        // A session that was told to end makes what it has.
-        assert!(!queue(&|queue| queue.closed = true), "no frame waits");
-        assert!(!queue(&|_| ()), "no frame waits");
     }
 }

@@ -109,7 +109,7 @@ pub fn calibrate(shots: &[Shot], scene: &Scene, assumed: &Assumed) -> Result<Rob
     }
     let mut contradictory = Vec::new();
     loop {
-        let (solution, marks) = fitting.rounds(&used)?;
+        let (solution, marks) = fitting.rounds(&used, &|| false)?;
         let unseen =
             marks.iter().map(Vec::len).enumerate().filter(|(_, count)| *count < LEAST_MARKS).min_by_key(|(_, count)| *count);
         if let Some((n, count)) = unseen {
@@ -136,8 +136,10 @@ pub fn calibrate(shots: &[Shot], scene: &Scene, assumed: &Assumed) -> Result<Rob
 }
 
 impl Fitting<'_> {
-    /// Searches, then measures and solves in turn.
-    pub fn rounds(&self, shots: &[&Shot]) -> Result<(Solution, Vec<Vec<Mark>>), RobotFitError> {
+    /// Searches, then measures and solves in turn; `cancelled` is asked before each.
+    pub fn rounds(&self, shots: &[&Shot], cancelled: &dyn Fn() -> bool) -> Result<(Solution, Vec<Vec<Mark>>), RobotFitError> {
+        let may_go_on = || if cancelled() { Err(RobotFitError::Cancelled) } else { Ok(()) };
+        may_go_on()?;
         let (model, assumed) = (&self.robot.model, self.assumed);
         let start = State { own_deg: vec![[0.0; OWN]; shots.len()], ..self.start.clone() };
         let guess = (assumed.guess_sigma_mm, assumed.guess_sigma_deg);
@@ -148,6 +150,7 @@ impl Fitting<'_> {
         let mut state = State { own_deg: start.own_deg.clone(), ..solution.state.clone() };
         let mut marks = coarse;
         for (round, reach_mm) in REACHES_MM.into_iter().enumerate() {
+            may_go_on()?;
             let measured = |(n, shot): (usize, &&Shot)| match state.posed(model, shot, n) {
                 Some(posed) => measure(shot, self.robot, &self.metal, &posed, reach_mm, round >= WITHOUT_END),
                 None => Vec::new(),

@@ -57,11 +57,17 @@ impl SeenTip {
 }
 
 /// The tip in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
-/// is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure.
+/// is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure. `cancelled` is asked now and then.
 ///
 /// # Errors
-/// When the scene has no robot, or its metals no attenuation.
-pub fn tip_in_frame(frame: &Frame, masks: &Masks, pose: &Pose, scene: &Scene) -> Result<Option<SeenTip>, RobotFitError> {
+/// When the scene has no robot, or its metals no attenuation, or it is cancelled.
+pub fn tip_in_frame(
+    frame: &Frame,
+    masks: &Masks,
+    pose: &Pose,
+    scene: &Scene,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Option<SeenTip>, RobotFitError> {
     let robot = scene.robot.as_ref().ok_or(RobotFitError::NoRobot)?;
     let readings_deg = robot.control_angles_deg;
     let Ok(shot) = Shot::masked(&frame.name, frame, masks, pose, readings_deg, Rigid::IDENTITY) else { return Ok(None) };
@@ -69,8 +75,12 @@ pub fn tip_in_frame(frame: &Frame, masks: &Masks, pose: &Pose, scene: &Scene) ->
         State { carrier_from_base: robot.lps_from_base, offsets_deg: robot.control_angle_offsets_deg, own_deg: vec![[0.0; OWN]] };
     let Some((drawn_px, _)) = tip_px(&robot.model, &shot, &start, &[0.0; OWN]) else { return Ok(None) };
     let fitting = Fitting { robot, metal: Metal::of(scene, robot)?, start, assumed: &ASSUMED };
-    // Too few profiles leave the equations without a solution.
-    let Ok((solution, marks)) = fitting.rounds(&[&shot]) else { return Ok(None) };
+    let (solution, marks) = match fitting.rounds(&[&shot], cancelled) {
+        Ok(found) => found,
+        Err(RobotFitError::Cancelled) => return Err(RobotFitError::Cancelled),
+        // Too few profiles leave the equations without a solution.
+        Err(_) => return Ok(None),
+    };
     let (fitted, profiles) = (&solution.shots[0], marks[0].len());
     let chi2_per_dof = solution.chi2 / solution.degrees_of_freedom;
     if profiles < LEAST_MARKS || !marks[0].iter().any(|mark| mark.is_end) || !(chi2_per_dof.sqrt() <= MOST_TIMES) {

@@ -57,6 +57,9 @@ pub enum RobotFitError {
     /// The scene has none.
     #[error("the scene has no robot object: add {{\"robot\": …}} with the model and a rough lps_from_base")]
     NoRobot,
+    /// Somebody cancelled.
+    #[error("looking for the robot was cancelled")]
+    Cancelled,
     /// Too few shots.
     #[error(
         "the robot is seen in {found} of {shots} shots, {required} are needed{}",

@@ -17,18 +17,18 @@ const AMPLE_BYTES: u64 = 10 << 30;
 const SLOW_MB_PER_S: f64 = 20.0;
 const TOO_SLOW_MB_PER_S: f64 = 1.0;
 
-/// Checks the folder that a session would create, whose frames come into `frames`; nothing stays behind.
+/// Checks the folder that a session would create, whose frames come into `frames`; nothing stays behind. No path is told: folders are called
+/// after persons.
 #[must_use]
 pub fn check_disk(out: &Path, frames: &Path) -> Vec<Finding> {
     if out.join("session.mcap").exists() {
-        let detail = format!("{}: there is a session in this folder already", out.display());
+        let detail = "there is a session in the session's folder already";
         return vec![Finding::fail(CHECK, detail, "choose another --out; logs are never written over")];
     }
     let Some(folder) = nearest_folder(out) else {
-        let detail = format!("{}: lies in no folder", out.display());
-        return vec![Finding::fail(CHECK, detail, "choose another --out")];
+        return vec![Finding::fail(CHECK, "the session's folder would lie in no folder", "choose another --out")];
     };
-    vec![among_frames(out, &folder, frames), writing(out, &folder), space(free_bytes(&folder), &folder)]
+    vec![among_frames(out, &folder, frames), writing(&folder), space(free_bytes(&folder))]
 }
 
 /// What is to be said where the session would take what it writes for frames, or frames for what it writes.
@@ -50,14 +50,13 @@ fn among_frames(out: &Path, folder: &Path, frames: &Path) -> Finding {
         return Finding::pass(CHECK, "the frames' folder is not there yet");
     };
     if ["strips", "drr"].iter().any(|part| frames.starts_with(out.join(part))) {
-        let detail = format!("{}: frames would be looked for among what the session writes", frames.display());
-        return Finding::fail(CHECK, detail, REMEDY);
+        return Finding::fail(CHECK, "frames would be looked for among what the session writes", REMEDY);
     }
     match out.strip_prefix(&frames) {
         Ok(below) if below.as_os_str().is_empty() => {
-            Finding::fail(CHECK, format!("{}: is the folder in which frames are looked for", out.display()), REMEDY)
+            Finding::fail(CHECK, "the session's folder is the folder in which frames are looked for", REMEDY)
         }
-        Ok(_) => Finding::warn(CHECK, format!("{}: lies in the folder in which frames are looked for", out.display()), REMEDY),
+        Ok(_) => Finding::warn(CHECK, "the session's folder lies in the folder in which frames are looked for", REMEDY),
         Err(_) => Finding::pass(CHECK, "apart from the frames' folder"),
     }
 }
@@ -68,7 +67,7 @@ fn nearest_folder(out: &Path) -> Option<PathBuf> {
     absolute.ancestors().find(|path| path.exists()).map(Path::to_owned)
 }
 
-fn writing(out: &Path, folder: &Path) -> Finding {
+fn writing(folder: &Path) -> Finding {
     let sample: Vec<u8> = (0..SAMPLE_BYTES as u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let write = || -> std::io::Result<f64> {
         let watch = Stopwatch::start();
@@ -79,16 +78,17 @@ fn writing(out: &Path, folder: &Path) -> Finding {
     };
     match write() {
         Err(error) => {
-            let detail = format!("{}: cannot be written ({error})", out.display());
+            // The system's whole words name a file.
+            let detail = format!("the session's folder cannot be written ({})", error.kind());
             Finding::fail(CHECK, detail, "choose another --out, or make the folder writable and free space on its disk")
         }
-        Ok(ms) => speed(SAMPLE_BYTES as f64 * 1e-6 / (ms.max(1e-3) * 1e-3), out),
+        Ok(ms) => speed(SAMPLE_BYTES as f64 * 1e-6 / (ms.max(1e-3) * 1e-3)),
     }
 }
 
-/// Whether a disk on which `out` is written at `mb_per_s` is fast enough.
-fn speed(mb_per_s: f64, out: &Path) -> Finding {
-    let detail = format!("{}: written at {mb_per_s:.0} MB/s", out.display());
+/// Whether a disk that is written at `mb_per_s` is fast enough.
+fn speed(mb_per_s: f64) -> Finding {
+    let detail = format!("the session's folder is written at {mb_per_s:.0} MB/s");
     if !(mb_per_s >= TOO_SLOW_MB_PER_S) {
         Finding::fail(CHECK, detail, "write to a local disk and copy the session afterwards")
     } else if !(mb_per_s >= SLOW_MB_PER_S) {
@@ -110,11 +110,11 @@ pub(crate) fn free_bytes(_folder: &Path) -> Option<u64> {
     None
 }
 
-/// Whether `free` bytes at `folder` are enough.
-fn space(free: Option<u64>, folder: &Path) -> Finding {
+/// Whether `free` bytes are enough.
+fn space(free: Option<u64>) -> Finding {
     const CHECK: &str = "disk space";
     let Some(free) = free else { return Finding::pass(CHECK, "the system does not say how much is free") };
-    let detail = format!("{:.1} GB free at {}", free as f64 * 1e-9, folder.display());
+    let detail = format!("{:.1} GB free where the session is written", free as f64 * 1e-9);
     if free < LEAST_BYTES {
         Finding::fail(CHECK, detail, "free at least 1 GB, or choose another --out")
     } else if free < AMPLE_BYTES {
@@ -140,13 +140,13 @@ mod tests {
             (10 * GIB - 1, Level::Warn, "10.7 GB free", Some("a long session with full-size frames needs 10 GB")),
             (10 * GIB, Level::Pass, "10.7 GB free", None),
         ] {
-            let found = space(Some(free), Path::new("/data"));
+            let found = space(Some(free));
             assert_eq!((found.check.as_str(), found.level, found.remedy.as_deref()), ("disk space", level, remedy), "{free}");
-            assert_eq!(found.detail, format!("{shown} at /data"));
+            assert_eq!(found.detail, format!("{shown} where the session is written"));
             cases += 1;
         }
         assert_eq!(cases, 5);
-        assert_eq!(space(None, Path::new("/data")).level, Level::Pass, "nobody knows");
+        assert_eq!(space(None).level, Level::Pass, "nobody knows");
     }
 
     #[test]
@@ -161,9 +161,9 @@ mod tests {
             (19.9, Level::Warn, "20", LATE),
             (20.0, Level::Pass, "20", None),
         ] {
-            let found = speed(mb_per_s, Path::new("/data"));
+            let found = speed(mb_per_s);
             assert_eq!((found.check.as_str(), found.level, found.remedy.as_deref()), ("disk", level, remedy), "{mb_per_s}");
-            assert_eq!(found.detail, format!("/data: written at {shown} MB/s"));
+            assert_eq!(found.detail, format!("the session's folder is written at {shown} MB/s"));
             cases += 1;
         }
         assert_eq!(cases, 5);

@@ -91,11 +91,13 @@ impl Session {
                     self.log.lose(given_up.to_string());
                 }
                 let (frames, complete) = (self.frames(), self.scribe.complete());
+                let progress = self.reporter.progress("finishing", frames as u64);
                 if complete < frames {
                     let log = if self.log.has_failed() { "what is not finished is lost" } else { "the log is complete" };
-                    self.reporter.note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, {log}"));
+                    // A bar says itself how far it is.
+                    let so_far = if progress.is_shown() { String::new() } else { format!("finishing {complete} of {frames}; ") };
+                    self.reporter.note(format!("{so_far}Ctrl-C again leaves at once, {log}"));
                 }
-                let progress = self.reporter.progress("finishing", frames as u64);
                 progress.advance(complete as u64);
                 self.finishing = Some((progress, complete));
             }

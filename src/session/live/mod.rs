@@ -8,6 +8,7 @@
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
 mod ending;
+mod registering;
 mod telling;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,6 +32,7 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
+use super::jobs::Order;
 use super::lines::{Lines, Ports};
 use super::link_view::LinkReadings;
 use super::log::SessionLog;
@@ -69,10 +71,6 @@ pub struct LiveOptions {
 const LOOK: Duration = Duration::from_millis(5);
 /// Faults of a line that are logged one by one within a tick; the counters hold all.
 const FAULTS_PER_TICK: u32 = 10;
-/// So many frames may be posed and wait for their DRR; the others wait to be posed.
-const MOST_OPEN: usize = 8;
-/// Frames that are newer than all of those are posed meanwhile, until so many wait.
-const MOST_POSED: usize = 24;
 
 /// Runs until stopped; returns the finished session's folder. `edits` are what a person asks for who looks at `board`; without them frames
 /// cannot be edited.
@@ -123,7 +121,7 @@ pub fn run(
     let chime = if options.sound { Some(Chime::start(reporter)?) } else { None };
     let (scribe, pairs) =
         Scribe::start(collector, Arc::clone(&log), board.clone(), (Arc::clone(&broadcast), &busy, chime), reporter)?;
-    workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
+    workshop.start(Order::NewestFirst, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log), reporter)?;
     let lines = ports.record(&setup, &log, board, reporter)?;
     let frames = Frames::watch(source, &log, (board, &busy), reporter)?;
@@ -146,6 +144,7 @@ pub fn run(
         registrar_ended: false,
         busy,
         late_said: BTreeSet::new(),
+        dead_said: BTreeSet::new(),
         editor,
         newest_posed: 0,
         faults_this_tick: 0,
@@ -214,6 +213,8 @@ struct Session {
     busy: Busy,
     /// Tasks of which it was said that they are late, or that they hang.
     late_said: BTreeSet<(Task, bool)>,
+    /// Kinds of threads of which it was said that they died.
+    dead_said: BTreeSet<&'static str>,
     /// Who edits beads; absent without a window.
     editor: Option<Editor>,
     /// Number of the newest frame that was handed to be posed.
@@ -235,6 +236,7 @@ impl Session {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
             self.register_next();
+            self.workshop.await_frames(self.frames_come());
             self.take_edits();
             let now_us = host_now_us();
             if now_us >= self.next_tick_us {
@@ -355,22 +357,6 @@ impl Session {
         self.editor.iter_mut().for_each(Editor::done);
         self.reporter.warn("not edited", words);
         self.log.event(Level::Warning, host_now_us(), words);
-    }
-
-    /// The newest frame that is bound is registered next; the log keeps the order.
-    fn register_next(&mut self) {
-        let Some(newest) = self.engine.bound().next_back() else { return };
-        // Posed frames wait with all that is known of them; those before are lighter.
-        let most = if newest > self.newest_posed { MOST_POSED } else { MOST_OPEN };
-        let crowded = self.workshop.open_jobs() >= most && !self.workshop.has_ended();
-        // An edit is of the pose that a frame has, not of one to come.
-        let edits = self.editor.as_ref().is_some_and(|editor| !editor.is_idle());
-        if self.registrar_ended || self.registering.is_some() || edits || crowded || !self.engine.is_ready(newest) {
-            return;
-        }
-        self.newest_posed = self.newest_posed.max(newest);
-        self.registering = Some((newest, self.busy.begin(Task::Registering(newest))));
-        self.log.input(Input::Develop { number: newest });
     }
 
     /// What a person asks for is logged, and comes to the engine as all else does.

@@ -12,7 +12,7 @@ use crate::time::host_now_us;
 
 /// Ticks keep waiting frames and stale marks moving when nothing arrives.
 const TICK_US: i64 = 100_000;
-/// Losses on the lines, and threads that died, are told at most this often.
+/// Losses on the lines are told at most this often.
 const TELL_LOSSES_US: i64 = 1_000_000;
 /// A log that is so far behind is said.
 const BEHIND_MS: f64 = 1_000.0;
@@ -28,6 +28,7 @@ impl Session {
             self.tell_losses_us = now_us + TELL_LOSSES_US;
             self.tell_losses();
         }
+        self.tell_dead();
         self.tell_late();
         self.publish(now_us);
         if let Some((progress, complete)) = &mut self.finishing {
@@ -35,7 +36,9 @@ impl Session {
             if now_complete > *complete {
                 progress.advance((now_complete - *complete) as u64);
                 *complete = now_complete;
-                self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+                if !progress.is_shown() {
+                    self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+                }
             }
         }
     }
@@ -61,11 +64,6 @@ impl Session {
             }
         }
         let recorder = self.log.health();
-        if recorder.keepers_lost > self.told_keepers_lost {
-            self.told_keepers_lost = recorder.keepers_lost;
-            self.reporter
-                .warn("log keeper lost", "the process that writes the log died; another one goes on, and nothing is lost");
-        }
         if let Some(failure) = recorder.failure {
             self.log.fail(&failure);
         }
@@ -76,18 +74,41 @@ impl Session {
                 format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
             self.reporter.warn("recording behind", words);
         }
-        if self.scribe.has_died() && !matches!(self.stage, Stage::Finishing) {
-            self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
-            self.reporter.warn(
+    }
+
+    /// Threads and processes that died are said at the next tick, each once.
+    fn tell_dead(&mut self) {
+        let keepers_lost = self.log.health().keepers_lost;
+        if keepers_lost > self.told_keepers_lost {
+            self.told_keepers_lost = keepers_lost;
+            let words = "the process that writes the log died; another one goes on, and nothing is lost";
+            self.reporter.warn("log keeper lost", words);
+            self.log.event(Level::Warning, host_now_us(), words);
+        }
+        if matches!(self.stage, Stage::Finishing) {
+            return;
+        }
+        if self.scribe.has_died() {
+            self.mourn(
                 "files not written",
                 "the thread that writes files died; recording goes on, replay the log for pairs and report",
+                format!("the thread that writes files died; {}", self.log.again()),
+            );
+        } else if self.workshop.has_ended() {
+            // Without pairs to write that of the other would have ended as well.
+            self.mourn(
+                "no rendering",
+                "the rendering thread died; recording and registration go on, replay the log for the DRRs",
+                "the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned(),
             );
         }
-        // Without pairs to write the other thread would have ended as well.
-        if self.workshop.has_ended() && !self.scribe.has_died() && !matches!(self.stage, Stage::Finishing) {
-            self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
-            self.reporter
-                .warn("no rendering", "the rendering thread died; recording and registration go on, replay the log for the DRRs");
+    }
+
+    fn mourn(&mut self, kind: &'static str, words: &str, lost: String) {
+        if self.dead_said.insert(kind) {
+            self.log.lose(lost);
+            self.reporter.warn(kind, words);
+            self.log.event(Level::Error, host_now_us(), words);
         }
     }
 

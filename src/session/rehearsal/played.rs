@@ -17,6 +17,7 @@ use crate::session::file::Setup;
 use crate::session::folder::{Collector, Times};
 use crate::session::input::{Input, Output};
 use crate::session::inputs::InputNames;
+use crate::session::jobs::Order;
 use crate::session::posed::Posed;
 use crate::session::tracks::Tracks;
 use crate::session::workshop::Workshop;
@@ -94,7 +95,7 @@ impl Played {
         let mut collector = Collector::create(out, posed.time_us, Times::Told, &workshop)?;
         let (sender, pairs) = channel();
         // The first state of the pair is enough: what its null says of the scene's own picture is known.
-        workshop.start(false, move |developed: Developed| {
+        workshop.start(Order::AsHandedIn, move |developed: Developed| {
             let _ = sender.send(developed);
             false
         })?;

@@ -156,6 +156,7 @@ mod render_slabs;
 mod render_tiles;
 mod render_views;
 mod render_beam;
+mod render_budget;
 mod render_noise;
 mod render_scatter;
 mod render_intensifier;

@@ -335,8 +335,8 @@ impl Rendered {
     }
 }
 
-/// Milliseconds of the stages that make an image, planning and preparation aside.
+/// Milliseconds of the stages that make an image, planning and preparation aside, and what is found out about it besides.
 #[must_use]
 pub fn image_ms(stages: &StageTimes) -> f64 {
-    stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare" | "calibrate")).map(|(_, ms)| ms).sum()
+    stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare" | "calibrate" | "guessed")).map(|(_, ms)| ms).sum()
 }

@@ -152,6 +152,8 @@ mod edits_session;
 mod edits_window;
 mod evaluate;
 mod evaluate_drawn;
+mod evaluate_drawn_panel;
+mod evaluate_drawn_scenes;
 mod render_slabs;
 mod render_tiles;
 mod render_views;

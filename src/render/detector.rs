@@ -25,8 +25,10 @@ pub fn expected_photons(signal: &Signal, flood: &Flood) -> Vec<f32> {
 #[must_use]
 pub fn seen_line_integral(scene: &Scene, view: &View, arriving: &[f32], flood: &Flood) -> Vec<f32> {
     let close = |(pixel, line): (usize, &f32)| *line - flood.open(pixel).ln() as f32;
-    let mut line: Vec<f32> =
-        if flood.open.is_empty() { arriving.to_vec() } else { arriving.iter().enumerate().map(close).collect() };
+    let mut line: Vec<f32> = match flood.open.is_empty() {
+        true => arriving.to_vec(),
+        false => arriving.par_iter().enumerate().with_min_len(4096).map(close).collect(),
+    };
     if scene.detector.panel.blur_fwhm_mm > 0.0 {
         blur_line_integral(&mut line, view.size_px.map(|n| n as usize), scintillator_sigma_px(scene, view));
     }

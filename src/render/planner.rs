@@ -123,7 +123,7 @@ impl Planner {
         Ok(plan)
     }
 
-    /// Measures what this machine costs, unless that is known: a second, now and then again.
+    /// Measures what this machine costs, unless that is known: a second or two, now and then again.
     pub fn calibrate(&mut self) {
         self.costs.get_or_insert_with(of_this_machine);
     }

@@ -1,4 +1,4 @@
-//! What the parts of rendering cost on this machine: measured in a second, kept in the user's cache folder.
+//! What the parts of rendering cost on this machine: measured in a second or two, kept in the user's cache folder.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! Brings the acquired frame into the domain in which it can be compared: nepers where the domain and the air level allow it.
 
-use super::filters::{erode, median_and_spread};
+use super::filters::{each, erode, median_and_spread};
 use super::pedestal::{self, OffsetReport, OffsetRule};
 use crate::acquire::{Domain, Frame};
 use crate::image::{Image, quantile};
@@ -121,29 +121,33 @@ pub(super) fn into_common(
     Ok(match frame.domain {
         Domain::Linear => {
             let offset = offset_report(frame, pixels, simulated, evidence);
-            let signal =
-                if offset.is_subtracted_here() { pixels.map(|&v| (f64::from(v) - offset.value) as f32) } else { pixels.clone() };
+            let subtracted;
+            let signal = if offset.is_subtracted_here() {
+                subtracted = each(pixels, |&v| (f64::from(v) - offset.value) as f32);
+                &subtracted
+            } else {
+                pixels
+            };
             // A declared air level is a stored value, as a person reads it; it stands on the same offset as the frame.
             let rule = match rule {
                 AirLevel::Value(value) => {
                     let value = as_turned(frame, value);
-                    check_level(value, offset.value, &signal, usable)?;
+                    check_level(value, offset.value, signal, usable)?;
                     AirLevel::Value(value - offset.value)
                 }
                 other => other,
             };
             let mut air = match guessed_zero(frame, &offset, evidence.offset) {
                 Some(reason) => unknown_air(&reason),
-                None => linear_air(frame, &signal, simulated, usable, rule),
+                None => linear_air(frame, signal, simulated, usable, rule),
             };
             air.offset = Some(offset);
-            let pixels = &signal;
             let reference = air.level.unwrap_or(1.0);
             Common {
-                acquired: pixels.map(|&v| if v > 0.0 { -(f64::from(v) / reference).ln() as f32 } else { f32::NAN }),
+                acquired: each(signal, |&v| if v > 0.0 { -(f64::from(v) / reference).ln() as f32 } else { f32::NAN }),
                 domain: if air.level.is_some() { CommonDomain::LineIntegral } else { CommonDomain::RelativeLineIntegral },
                 air,
-                no_signal: pixels.map(|&v| v <= 0.0),
+                no_signal: each(signal, |&v| v <= 0.0),
             }
         }
         Domain::Log => {
@@ -155,7 +159,7 @@ pub(super) fn into_common(
             let offset = air.level.unwrap_or(0.0);
             let absolute = in_nepers && air.level.is_some();
             Common {
-                acquired: pixels.map(|&v| (f64::from(v) - offset) as f32),
+                acquired: each(pixels, |&v| (f64::from(v) - offset) as f32),
                 domain: if absolute { CommonDomain::LineIntegral } else { CommonDomain::RelativeLineIntegral },
                 air,
                 no_signal: never,

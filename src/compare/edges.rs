@@ -3,7 +3,6 @@
 use super::filters::{Gradient, noise};
 use super::seen::{SCORE_SIGMA_PX, Seen};
 use crate::image::{Image, quantile};
-use crate::mask::components;
 
 /// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
 /// nothing but equally strong edges, all of them count.
@@ -50,6 +49,8 @@ pub(super) struct Maxima {
     height: usize,
     found: Vec<(usize, EdgePoint, f32)>,
     noise: f32,
+    /// σ of a pixel of the image, where it is known.
+    pub sigma: Option<f64>,
 }
 
 /// The edges of both images, for scoring: as many strong ones in the acquired as in the simulated image, whatever the scales of the two,
@@ -59,11 +60,20 @@ pub(super) fn of_both(acquired: &Maxima, simulated: &Maxima) -> (EdgeMap, EdgeMa
     let count = simulated.found.iter().filter(|(_, _, size)| *size >= limit).count();
     let weaker = (WEAK_FACTOR * count as f64) as usize;
     let map = |maxima: &Maxima| maxima.map(maxima.nth_largest(count), maxima.nth_largest(weaker));
-    (map(acquired), map(simulated))
+    rayon::join(|| map(acquired), || map(simulated))
 }
 
 /// Where the gradient of an image is largest across its direction, within `usable`.
 pub(super) fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
+    let (width, height) = (seen.image.width, seen.image.height);
+    let (found, sigma) = rayon::join(|| largest(seen), || noise(seen.image, usable));
+    // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
+    let of_noise = sigma.unwrap_or(0.0) / (SCORE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
+    Maxima { width, height, found, noise: (ABOVE_NOISE * of_noise) as f32, sigma }
+}
+
+/// Row by row.
+fn largest(seen: &Seen) -> Vec<(usize, EdgePoint, f32)> {
     let (width, height) = (seen.image.width, seen.image.height);
     let Gradient { du, dv, known } = &seen.gradient;
     let size = |at: usize| (du.pixels[at] * du.pixels[at] + dv.pixels[at] * dv.pixels[at]).sqrt();
@@ -92,9 +102,7 @@ pub(super) fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
             }
         }
     }
-    // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
-    let of_noise = noise(seen.image, usable).unwrap_or(0.0) / (SCORE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
-    Maxima { width, height, found, noise: (ABOVE_NOISE * of_noise) as f32 }
+    found
 }
 
 /// `component` of a unit vector times 1.3, rounded: of eight directions the nearest.
@@ -130,9 +138,7 @@ impl Maxima {
         let weak = weak.max(self.noise).max(WEAK_FLOOR * strong);
         let mut candidates = Image::filled(self.width, self.height, false);
         self.found.iter().filter(|(_, _, size)| *size >= weak).for_each(|(at, _, _)| candidates.pixels[*at] = true);
-        for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {
-            chain.indices.iter().for_each(|&at| candidates.pixels[at] = false);
-        }
+        self.drop_short_chains(&mut candidates);
         let mut map = EdgeMap {
             width: self.width,
             height: self.height,
@@ -146,6 +152,40 @@ impl Maxima {
             }
         }
         map
+    }
+}
+
+impl Maxima {
+    /// Clears what hangs together, corner to corner as well, and is shorter than a chain must be.
+    fn drop_short_chains(&self, candidates: &mut Image<bool>) {
+        let (width, height) = (self.width, self.height);
+        let mut seen = vec![false; candidates.pixels.len()];
+        let mut chain: Vec<usize> = Vec::new();
+        for (start, ..) in &self.found {
+            if seen[*start] || !candidates.pixels[*start] {
+                continue;
+            }
+            seen[*start] = true;
+            chain.clear();
+            chain.push(*start);
+            let mut next = 0;
+            while let Some(&at) = chain.get(next) {
+                next += 1;
+                let (u, v) = (at % width, at / width);
+                for row in v.saturating_sub(1)..(v + 2).min(height) {
+                    for column in u.saturating_sub(1)..(u + 2).min(width) {
+                        let beside = row * width + column;
+                        if candidates.pixels[beside] && !seen[beside] {
+                            seen[beside] = true;
+                            chain.push(beside);
+                        }
+                    }
+                }
+            }
+            if chain.len() < SHORTEST_PX {
+                chain.iter().for_each(|&at| candidates.pixels[at] = false);
+            }
+        }
     }
 }
 
@@ -200,7 +240,7 @@ pub(super) fn median_distance_px(a: &EdgeMap, b: &EdgeMap, scored: &Image<bool>)
     };
     let one_way =
         |from: &EdgeMap, to: &EdgeMap| -> Vec<f32> { from.points.iter().filter(inside).map(|p| to.distance_px(p)).collect() };
-    let (mut ab, ba) = (one_way(a, b), one_way(b, a));
+    let (mut ab, ba) = rayon::join(|| one_way(a, b), || one_way(b, a));
     if ab.len() < 30 || ba.len() < 30 {
         return None;
     }
@@ -221,6 +261,28 @@ mod tests {
             })
             .collect();
         Image::from_pixels(160, 160, pixels).expect("size")
+    }
+
+    /// Against the components of the mask, which know nothing of maxima.
+    #[test]
+    fn chains_that_are_too_short_are_dropped_and_no_others() {
+        use crate::mask::components;
+        use crate::random::{Purpose, Stream};
+        let (width, height) = (60, 40);
+        let mut random = Stream::new(5, 0, 0, Purpose::Evaluation);
+        let pixels: Vec<bool> = (0..width * height).map(|_| random.next_u32().is_multiple_of(4)).collect();
+        let mut mask = Image::from_pixels(width, height, pixels).expect("size");
+        // A chain that goes on corner to corner.
+        (0..30).for_each(|n| *mask.at_mut(n, n) = true);
+        let point = EdgePoint { u: 0.0, v: 0.0, nu: 1.0, nv: 0.0, strong: false };
+        let found = (0..width * height).filter(|at| mask.pixels[*at]).map(|at| (at, point, 1.0)).collect();
+        let maxima = Maxima { width, height, found, noise: 0.0, sigma: None };
+        let mut expected = mask.clone();
+        let (short, long): (Vec<_>, Vec<_>) = components(&mask).into_iter().partition(|chain| chain.indices.len() < SHORTEST_PX);
+        assert!(!short.is_empty() && !long.is_empty(), "{} and {}", short.len(), long.len());
+        short.iter().flat_map(|chain| &chain.indices).for_each(|&at| expected.pixels[at] = false);
+        maxima.drop_short_chains(&mut mask);
+        assert_eq!(mask, expected);
     }
 
     #[test]

@@ -2,10 +2,32 @@
 
 use rayon::prelude::*;
 
-use crate::image::{Image, on_widest_vectors, quantile, zip};
+use crate::image::{Image, on_widest_vectors, quantile};
 
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
 pub(super) const TRUSTED_WEIGHT: f32 = 0.75;
+
+/// A core takes at least so many pixels at a time, where each is for itself.
+const FEWEST_PX: usize = 1 << 14;
+
+/// A new image of `f(pixel)`, made by all cores.
+pub(super) fn each<T: Sync, U: Send>(image: &Image<T>, f: impl Fn(&T) -> U + Sync + Send) -> Image<U> {
+    let pixels = image.pixels.par_iter().with_min_len(FEWEST_PX).map(f).collect();
+    Image { width: image.width, height: image.height, pixels }
+}
+
+/// What a normalised convolution reads of `image`: zeros where it is not usable. Values there (NaN included) are never read.
+pub(super) fn kept(image: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
+    debug_assert!(image.same_size(usable), "images of one size");
+    let keep = |(value, usable): (&f32, &bool)| if *usable { *value } else { 0.0 };
+    let pixels = image.pixels.par_iter().zip(&usable.pixels).with_min_len(FEWEST_PX).map(keep).collect();
+    Image { width: image.width, height: image.height, pixels }
+}
+
+/// 1 where `usable`, else 0: what a kernel's weight is made of.
+pub(super) fn shares(usable: &Image<bool>) -> Image<f32> {
+    each(usable, |usable| f32::from(u8::from(*usable)))
+}
 
 /// A Gaussian for normalised convolutions over one mask, at every pixel or at every so many of them each way.
 pub(super) struct Kernel {
@@ -104,8 +126,13 @@ impl pulp::NullaryFnOnce for Down<'_> {
 
 impl Kernel {
     pub(super) fn on(usable: &Image<bool>, sigma_px: f64, stride: usize) -> Self {
+        Self::of(&shares(usable), sigma_px, stride)
+    }
+
+    /// The same, given the [`shares`] of the mask.
+    pub(super) fn of(shares: &Image<f32>, sigma_px: f64, stride: usize) -> Self {
         let taps = gaussian(sigma_px);
-        let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &taps, stride);
+        let weight = convolve(shares, &taps, stride);
         Self { taps, stride, weight }
     }
 
@@ -114,12 +141,16 @@ impl Kernel {
         Self { taps: self.taps.clone(), stride, weight: every(&self.weight, stride) }
     }
 
-    /// Gaussian mean over usable pixels, the same as in [`Kernel::on`]; 0 where none is near. Values at unusable pixels (NaN included) are
-    /// never read.
+    /// Gaussian mean over usable pixels, the same as in [`Kernel::on`]; 0 where none is near.
     pub(super) fn smooth(&self, image: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
-        let kept = zip(image, usable, |&value, &u| if u { value } else { 0.0 });
-        let mut value = convolve(&kept, &self.taps, self.stride);
-        value.pixels.iter_mut().zip(&self.weight.pixels).for_each(|(v, &w)| *v = if w > 1e-3 { *v / w } else { 0.0 });
+        self.smooth_kept(&kept(image, usable))
+    }
+
+    /// The same of what was [`kept`] of an image.
+    pub(super) fn smooth_kept(&self, kept: &Image<f32>) -> Image<f32> {
+        let mut value = convolve(kept, &self.taps, self.stride);
+        let pixels = value.pixels.par_iter_mut().zip(&self.weight.pixels).with_min_len(FEWEST_PX);
+        pixels.for_each(|(v, &w)| *v = if w > 1e-3 { *v / w } else { 0.0 });
         value
     }
 }
@@ -148,34 +179,50 @@ pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
     };
     let (value, weight) = (&value.pixels, &weight.pixels);
     let trusted = |index: usize| weight[index] >= TRUSTED_WEIGHT;
-    for v in 1..height.saturating_sub(1) {
-        for at in v * width + 1..((v + 1) * width).saturating_sub(1) {
+    let long = width.max(1);
+    let rows = found.du.pixels.par_chunks_mut(long).zip(found.dv.pixels.par_chunks_mut(long));
+    rows.zip(found.known.pixels.par_chunks_mut(long)).enumerate().for_each(|(v, ((du, dv), known))| {
+        if v == 0 || v + 1 >= height {
+            return;
+        }
+        for u in 1..width.saturating_sub(1) {
+            let at = v * width + u;
             if trusted(at - 1) && trusted(at + 1) && trusted(at - width) && trusted(at + width) {
-                found.du.pixels[at] = 0.5 * (value[at + 1] - value[at - 1]);
-                found.dv.pixels[at] = 0.5 * (value[at + width] - value[at - width]);
-                found.known.pixels[at] = true;
+                du[u] = 0.5 * (value[at + 1] - value[at - 1]);
+                dv[u] = 0.5 * (value[at + width] - value[at - width]);
+                known[u] = true;
             }
         }
-    }
+    });
     found
 }
 
 /// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
+// A line is true where it has been so for more than `margin` pixels, and will be for as many: two sweeps tell it, however wide the margin.
 pub(super) fn erode(image: &Image<bool>, margin: usize) -> Image<bool> {
     let (width, height) = (image.width, image.height);
-    let window = |at: usize, end: usize| at.saturating_sub(margin)..(at + margin + 1).min(end);
+    let long = width.max(1);
+    let step = |is_true: bool, for_px: &mut usize, out: &mut bool| {
+        *for_px = if is_true { *for_px + 1 } else { 0 };
+        *out &= *for_px > margin;
+    };
     let mut across = image.clone();
-    for v in 0..height {
-        for u in 0..width {
-            across.pixels[v * width + u] = window(u, width).all(|column| image.pixels[v * width + column]);
-        }
-    }
+    across.pixels.par_chunks_mut(long).zip(image.pixels.par_chunks(long)).for_each(|(out, row)| {
+        let mut for_px = margin;
+        out.iter_mut().zip(row).for_each(|(out, is)| step(*is, &mut for_px, out));
+        for_px = margin;
+        out.iter_mut().zip(row).rev().for_each(|(out, is)| step(*is, &mut for_px, out));
+    });
     let mut both = across.clone();
-    for v in 0..height {
-        for u in 0..width {
-            both.pixels[v * width + u] = window(v, height).all(|row| across.pixels[row * width + u]);
+    let mut sweep = |rows: &mut dyn Iterator<Item = usize>| {
+        let mut for_px = vec![margin; width];
+        for v in rows {
+            let (out, row) = (&mut both.pixels[v * width..][..width], &across.pixels[v * width..][..width]);
+            out.iter_mut().zip(row).zip(&mut for_px).for_each(|((out, is), for_px)| step(*is, for_px, out));
         }
-    }
+    };
+    sweep(&mut (0..height));
+    sweep(&mut (0..height).rev());
     both
 }
 
@@ -191,12 +238,13 @@ pub(super) fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
     let width = image.width;
     let mut sizes: Vec<f32> = Vec::new();
     for v in 0..image.height.saturating_sub(1) {
-        for u in 0..width.saturating_sub(1) {
-            let at = v * width + u;
-            let four = [at, at + 1, at + width, at + width + 1];
-            if four.iter().all(|&i| scored.pixels[i]) {
-                let [a, b, c, d] = four.map(|i| image.pixels[i]);
-                sizes.push((0.5 * (a - b - c + d)).abs());
+        // Slices rather than indices: their ends are checked once a row.
+        let [here, below] = [v, v + 1].map(|row| &image.pixels[row * width..][..width]);
+        let [scored_here, scored_below] = [v, v + 1].map(|row| &scored.pixels[row * width..][..width]);
+        let scored = scored_here.windows(2).zip(scored_below.windows(2));
+        for ((above, under), (here, below)) in scored.zip(here.windows(2).zip(below.windows(2))) {
+            if above[0] && above[1] && under[0] && under[1] {
+                sizes.push((0.5 * (here[0] - here[1] - below[0] + below[1])).abs());
             }
         }
     }
@@ -253,6 +301,30 @@ mod tests {
                 assert!(worst < 1e-4, "{worst} at sigma {sigma_px}, stride {stride}");
             }
         }
+    }
+
+    /// As the definition has it, pixel by pixel.
+    #[test]
+    fn what_is_eroded_has_nothing_false_within_the_margin() {
+        let mut cases = 0;
+        for (width, height) in [(1, 1), (1, 9), (9, 1), (23, 17)] {
+            for every in [1, 2, 7, 40, 1000] {
+                let pixels = (0..width * height).map(|at| (at * 7919 + 3) % 1009 % every != 0).collect();
+                let image = Image::from_pixels(width, height, pixels).expect("size");
+                for margin in [0, 1, 3, 30] {
+                    let found = erode(&image, margin);
+                    let near = |at: usize, end: usize| at.saturating_sub(margin)..(at + margin + 1).min(end);
+                    for v in 0..height {
+                        for u in 0..width {
+                            let expected = near(v, height).all(|row| near(u, width).all(|column| *image.at(column, row)));
+                            assert_eq!(*found.at(u, v), expected, "{width}x{height}, {every}, {margin}: {u}, {v}");
+                            cases += usize::from(expected);
+                        }
+                    }
+                }
+            }
+        }
+        assert!(cases > 500, "{cases} pixels are left");
     }
 
     #[test]

@@ -48,6 +48,7 @@ use crate::geometry::View;
 use crate::image::{Image, block_means, quantile, zip};
 use crate::mask::{self, Cause, Masks, REQUIRED_SHARE};
 use correlation::{rank_ncc, ranks};
+use filters::noise;
 use scores::{Scored, score};
 use seen::{Ground, REACH_PX, Seen};
 
@@ -77,8 +78,13 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let binning = binning(frame, simulated)?;
     let mut masks = gather_masks(input, binning)?;
     let before_air = masks.usable(width, height, &[]);
-    let all = frame.pixels.map(|v| v.is_finite());
-    let pixels = if binning == 1 { frame.pixels.clone() } else { block_means(&frame.pixels, &all, binning).0 };
+    let binned;
+    let pixels = if binning == 1 {
+        &frame.pixels
+    } else {
+        binned = block_means(&frame.pixels, &frame.pixels.map(|v| v.is_finite()), binning).0;
+        &binned
+    };
     let evidence = domain::Evidence {
         usable: &before_air,
         shuttered: masks.layer(Cause::Collimation),
@@ -86,7 +92,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         air: input.air,
         offset: input.offset,
     };
-    let mut common = domain::into_common(frame, &pixels, simulated, &evidence)?;
+    let mut common = domain::into_common(frame, pixels, simulated, &evidence)?;
     masks.add(Cause::NoSignal, common.no_signal);
     let usable = masks.usable(width, height, &[]);
     let shares = masks.shares(width, height);
@@ -131,9 +137,14 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         rayon::join(|| edges::maxima(&acquired_seen, &usable), || edges::maxima(&toned_seen, &usable));
     let (edges, acquired_ranks) =
         rayon::join(|| edges::of_both(&found_acquired, &found_simulated), || ranks(&common.acquired, &scored));
+    let noise_where = |image: &Image<f32>, scored: &Image<bool>| {
+        (common.domain == CommonDomain::LineIntegral).then(|| noise(image, scored)).flatten()
+    };
     let base = Scored {
         acquired: &acquired_seen,
         acquired_ranks: &acquired_ranks,
+        // Without a tone all that is usable is scored, and its noise is known.
+        acquired_noise: if input.tone == Tone::None { found_acquired.sigma } else { noise_where(&common.acquired, &scored) },
         simulated: &toned_seen,
         ground: &ground,
         scored: &scored,
@@ -143,12 +154,17 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         mm_per_px,
     };
     let alone = || {
-        let scores = score(&base, (&edges.0, &edges.1));
-        let without_tone = match input.tone {
-            Tone::None => scores.clone(),
-            _ => score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, (&edges.0, &edges.1)),
+        // One after the other: both ask the acquired image for the same windows.
+        let scored = || {
+            let scores = score(&base, (&edges.0, &edges.1));
+            let without_tone = match input.tone {
+                Tone::None => scores.clone(),
+                _ => score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, (&edges.0, &edges.1)),
+            };
+            (scores, without_tone)
         };
-        (scores, without_tone, found_simulated.to_draw())
+        let ((scores, without_tone), drawn) = rayon::join(scored, || found_simulated.to_draw());
+        (scores, without_tone, drawn)
     };
     let of_tool = |tool: &Image<bool>| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
@@ -157,11 +173,12 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let near = around(tool, REACH_PX);
         let [acquired, toned] = [&common.acquired, &toned].map(|image| image.part(&near));
         let [with_tool, on_tool] = [&with_tool, &on_tool].map(|image| image.part(&near));
-        let acquired_ranks = &ranks(&acquired, &on_tool);
+        let (acquired_ranks, acquired_noise) = (&ranks(&acquired, &on_tool), noise_where(&acquired, &on_tool));
         let ground = Ground::of(with_tool);
         let (acquired, simulated) = (&Seen::on(&ground, &acquired), &Seen::on(&ground, &toned));
         let edges = edges::of_both(&edges::maxima(acquired, &ground.usable), &edges::maxima(simulated, &ground.usable));
-        let scored = Scored { acquired, acquired_ranks, simulated, ground: &ground, scored: &on_tool, ..base };
+        let of_acquired = Scored { acquired, acquired_ranks, acquired_noise, ..base };
+        let scored = Scored { simulated, ground: &ground, scored: &on_tool, ..of_acquired };
         score(&scored, (&edges.0, &edges.1))
     };
     let ((scores, scores_without_tone, edges), scores_tool) = rayon::join(alone, || masks.layer(Cause::Tool).map(of_tool));

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use super::correlation::{for_each_scored, ranks, zncc};
 use super::domain::CommonDomain;
 use super::edges::{self, Maxima};
+use super::filters::noise;
 use super::ranking::{NullScore, Wrong, rank};
 use super::scores::{NULL_SCORES, Scored, Scores, score};
 use super::seen::{Ground, Seen};
@@ -316,6 +317,7 @@ struct Standing<'a> {
     acquired: Seen<'a>,
     maxima: Maxima,
     ranks: Image<f32>,
+    noise: Option<f64>,
 }
 
 /// `None` when `cancelled`, which is asked before each few renders, says so.
@@ -341,8 +343,11 @@ fn score_small(
         let scored = tone::scored_pixels(&usable, input.tone.tone, tile_px);
         let ground = Ground::of(usable);
         let seen = Seen::on(&ground, acquired);
+        // Renders are scored side by side with it.
+        seen.power(&ground);
         let (maxima, ranks) = (edges::maxima(&seen, &ground.usable), ranks(acquired, &scored));
-        Standing { ground, scored, acquired: seen, maxima, ranks }
+        let noise = (input.domain == CommonDomain::LineIntegral).then(|| noise(acquired, &scored)).flatten();
+        Standing { ground, scored, acquired: seen, maxima, ranks, noise }
     };
     let standings: Vec<Standing> = known.into_par_iter().map(standing).collect();
     let scores = |(name, render, at): (String, Image<f32>, usize)| (name, score_one(input, &standings[at], &render, tile_px));
@@ -360,7 +365,7 @@ fn score_small(
 }
 
 fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_px: usize) -> Scores {
-    let Standing { ground, scored, acquired, maxima, ranks } = standing;
+    let Standing { ground, scored, acquired, maxima, ranks, noise } = standing;
     let Some(fit) = tone::fit(input.tone.tone, acquired.image, render, &ground.usable, tile_px) else {
         return Scores::absent("the tone is not determined");
     };
@@ -371,6 +376,7 @@ fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_p
         &Scored {
             acquired,
             acquired_ranks: ranks,
+            acquired_noise: *noise,
             simulated,
             ground,
             scored,

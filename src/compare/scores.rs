@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::correlation::{for_each_scored, rank_ncc, ranks, zncc};
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{every, noise};
+use super::filters::every;
 use super::seen::{Ground, Seen, WINDOW_STRIDE_PX};
 use super::tone::Tone;
 use crate::image::{Image, quantile, zip};
@@ -91,6 +91,8 @@ pub(super) struct Scored<'a> {
     pub acquired: &'a Seen<'a>,
     /// [`ranks`] of the acquired image on `scored`.
     pub acquired_ranks: &'a Image<f32>,
+    /// Noise of a pixel of the acquired image on `scored`, where somebody looked for it.
+    pub acquired_noise: Option<f64>,
     /// In the common domain, tone applied.
     pub simulated: &'a Seen<'a>,
     /// What is not masked.
@@ -146,11 +148,15 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     let ((of_ranks, of_gradient, of_edges), (of_all, of_windows, of_bands)) = rayon::join(
         || {
             let of_ranks = rank_ncc(input.acquired_ranks, &ranks(simulated, input.scored));
-            (of_ranks, gradient_ncc(input), median_distance_px(edges.0, edges.1, input.scored))
+            let (of_gradient, of_edges) =
+                rayon::join(|| gradient_ncc(input), || median_distance_px(edges.0, edges.1, input.scored));
+            (of_ranks, of_gradient, of_edges)
         },
         || {
-            let of_all = (!toned_gray).then(|| zncc(acquired, simulated, input.scored)).flatten();
-            (of_all, ssim_reason.is_none().then(|| ssim(input)).flatten(), local_ncc(input))
+            let of_all = || (!toned_gray).then(|| zncc(acquired, simulated, input.scored)).flatten();
+            let of_windows = || ssim_reason.is_none().then(|| ssim(input)).flatten();
+            let (of_all, (of_windows, of_bands)) = rayon::join(of_all, || rayon::join(of_windows, || local_ncc(input)));
+            (of_all, of_windows, of_bands)
         },
     );
     (scores.zncc, scores.rank_ncc, scores.gradient_ncc) = (of_all, of_ranks, of_gradient);
@@ -164,7 +170,7 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
         });
         scores.bias_nepers = Some(sum / count as f64);
         scores.rmse_nepers = Some((squares / count as f64).sqrt());
-        scores.noise_nepers = noise(acquired, input.scored);
+        scores.noise_nepers = input.acquired_noise;
     }
     for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "edge_distance_mm", "noise_nepers"]
     {
@@ -183,7 +189,8 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
 fn gradient_ncc(input: &Scored) -> Option<f64> {
     let (a, b) = (&input.acquired.gradient, &input.simulated.gradient);
     let known = zip(&a.known, input.scored, |k, s| *k && *s);
-    Some(0.5 * (zncc(&a.du, &b.du, &known)? + zncc(&a.dv, &b.dv, &known)?))
+    let (du, dv) = rayon::join(|| zncc(&a.du, &b.du, &known), || zncc(&a.dv, &b.dv, &known));
+    Some(0.5 * (du? + dv?))
 }
 
 /// Range of an image: between its 0.5th and 99.5th percentile.
@@ -196,14 +203,17 @@ fn range(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
 
 fn ssim(input: &Scored) -> Option<f64> {
     let (a, b) = (input.acquired.image, input.simulated.image);
-    let range = range(b, input.scored)?;
     let (acquired, simulated) = (input.acquired, input.simulated);
+    let in_windows = || {
+        let cross = input.ground.in_fine_windows(&acquired.product(simulated));
+        (cross, acquired.power(input.ground), simulated.power(input.ground))
+    };
+    let (range, (cross, power_a, power_b)) = rayon::join(|| range(b, input.scored), in_windows);
+    let range = range?;
     let mut of_simulated = (0.0, 0.0);
     for_each_scored(a, b, input.scored, |_, s| of_simulated = (of_simulated.0 + s, of_simulated.1 + 1.0));
     let middle = of_simulated.0 / of_simulated.1;
     let scored = every(input.scored, WINDOW_STRIDE_PX);
-    let cross = input.ground.in_fine_windows(&acquired.product(simulated));
-    let (power_a, power_b) = (acquired.power(input.ground), simulated.power(input.ground));
     let [c1, c2] = SSIM_CONSTANTS.map(|k| (k * range).powi(2));
     let (mut sum, mut n) = (0.0, 0.0);
     for at in (0..scored.pixels.len()).filter(|&at| scored.pixels[at] && input.ground.known.pixels[at]) {

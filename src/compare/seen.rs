@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::filters::{Gradient, Kernel, TRUSTED_WEIGHT, every, gradient};
+use super::filters::{Gradient, Kernel, TRUSTED_WEIGHT, every, gradient, kept, shares};
 use crate::image::{Image, zip};
 
 /// Gaussian σ of the window of SSIM, and of the smoothing before gradients are taken, in pixels.
@@ -32,9 +32,10 @@ pub(super) struct Ground {
 impl Ground {
     pub(super) fn of(usable: Image<bool>) -> Self {
         let [fine_px, coarse_px] = LOCAL_BAND_PX;
-        let fine = Kernel::on(&usable, fine_px, 1);
+        let shares = shares(&usable);
+        let fine = Kernel::of(&shares, fine_px, 1);
         let fine_windows = fine.at_every(WINDOW_STRIDE_PX);
-        let coarse = Kernel::on(&usable, coarse_px, WINDOW_STRIDE_PX);
+        let coarse = Kernel::of(&shares, coarse_px, WINDOW_STRIDE_PX);
         let at_windows = every(&usable, WINDOW_STRIDE_PX);
         let known = zip(&fine_windows.weight, &at_windows, |weight, usable| *usable && *weight >= TRUSTED_WEIGHT);
         let window = Kernel::on(&known, LOCAL_WINDOW_PX / WINDOW_STRIDE_PX as f64, 1);
@@ -70,10 +71,11 @@ pub(super) struct Seen<'a> {
 
 impl<'a> Seen<'a> {
     pub(super) fn on(ground: &Ground, image: &'a Image<f32>) -> Self {
-        let smooth = ground.fine.smooth(image, &ground.usable);
+        let kept = kept(image, &ground.usable);
+        let smooth = ground.fine.smooth_kept(&kept);
         let gradient = gradient(&smooth, &ground.fine.weight);
         let fine = every(&smooth, WINDOW_STRIDE_PX);
-        let coarse = ground.coarse.smooth(image, &ground.usable);
+        let coarse = ground.coarse.smooth_kept(&kept);
         let band = zip(&fine, &coarse, |fine, coarse| fine - coarse);
         let band_power = ground.in_windows(&zip(&band, &band, |a, b| a * b));
         let (mut sum, mut count) = (0.0, 0usize);
@@ -85,7 +87,9 @@ impl<'a> Seen<'a> {
         Self { image, mean, fine, band, band_power, gradient, power: OnceLock::new() }
     }
 
-    /// The second moment about `mean` in SSIM's windows.
+    /// The second moment about `mean` in SSIM's windows, made by all cores when it is first asked for. Of an image that is scored several
+    /// times side by side it must have been asked for before: a thread that makes it may be handed another score meanwhile, which would wait
+    /// for it for ever.
     pub(super) fn power(&self, ground: &Ground) -> &Image<f32> {
         self.power.get_or_init(|| ground.in_fine_windows(&self.product(self)))
     }

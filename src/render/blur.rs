@@ -6,9 +6,12 @@
 
 use rayon::prelude::*;
 
-use super::cpu::attenuate_spectrum::Signal;
+use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use crate::geometry::View;
 use crate::scene::model::Scene;
+
+/// A core takes at least so many pixels at a time, where each is for itself.
+const FEWEST_PX: usize = 4096;
 
 /// Full width at half maximum of a Gaussian over its σ: 2 √(2 ln 2).
 pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949;
@@ -30,11 +33,14 @@ pub struct FocalBlur {
 #[must_use]
 pub fn focal_blur(scene: &Scene, view: &View) -> Option<FocalBlur> {
     let spot_mm = scene.beam.shape.focal_spot_mm;
+    if spot_mm == [0.0; 2] {
+        return None;
+    }
     let (low, high) = scene.bounds_lps_mm()?;
     let sdd_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
     let depth_of = |point| view.camera_from_lps.transform_point(point).z;
     let depth_mm = depth_of(0.5 * (low + high));
-    if spot_mm == [0.0; 2] || !(depth_mm > 1.0 && depth_mm < sdd_mm) {
+    if !(depth_mm > 1.0 && depth_mm < sdd_mm) {
         return None;
     }
     let per_mm = |focal_px: f64, depth_mm: f64| focal_px * (1.0 / depth_mm.clamp(1.0, sdd_mm) - 1.0 / sdd_mm);
@@ -56,33 +62,32 @@ pub fn blur_signal(signal: &mut Signal, view: &View, sigma_px: [f64; 2]) {
     let size = view.size_px.map(|n| n as usize);
     blur_line_integral(&mut signal.line_integral, size, sigma_px);
     let sums = |f: fn([f64; 3]) -> f64| -> Vec<f64> {
-        let one = |a: &super::cpu::attenuate_spectrum::Arriving| {
-            f([a.photon_fraction, a.mean_response, a.mean_square_response].map(f64::from))
-        };
-        let mut field = signal.arriving.iter().map(one).collect::<Vec<f64>>();
+        let one = |a: &Arriving| f([a.photon_fraction, a.mean_response, a.mean_square_response].map(f64::from));
+        let mut field: Vec<f64> = signal.arriving.par_iter().with_min_len(FEWEST_PX).map(one).collect();
         blur(&mut field, size, sigma_px);
         field
     };
     let [photons, responses, squares] = [sums(|[n, ..]| n), sums(|[n, r, _]| n * r), sums(|[n, _, s]| n * s)];
-    for (pixel, arriving) in signal.arriving.iter_mut().enumerate() {
+    signal.arriving.par_iter_mut().enumerate().with_min_len(FEWEST_PX).for_each(|(pixel, arriving)| {
         let number = photons[pixel];
         arriving.photon_fraction = number as f32;
         if number > 0.0 {
             arriving.mean_response = (responses[pixel] / number) as f32;
             arriving.mean_square_response = (squares[pixel] / number) as f32;
         }
-    }
+    });
 }
 
 /// Blurs exp(−line integral); +∞ stands for nothing. What is darker than e⁻⁷⁴⁵ and stays so keeps its value.
 pub fn blur_line_integral(line_integral: &mut [f32], size: [usize; 2], sigma_px: [f64; 2]) {
-    let mut field: Vec<f64> = line_integral.iter().map(|line| (-f64::from(*line)).exp()).collect();
+    let intensity = |line: &f32| (-f64::from(*line)).exp();
+    let mut field: Vec<f64> = line_integral.par_iter().with_min_len(FEWEST_PX).map(intensity).collect();
     blur(&mut field, size, sigma_px);
-    for (line, intensity) in line_integral.iter_mut().zip(field) {
-        if !(intensity == 0.0) {
+    line_integral.par_iter_mut().zip(&field).with_min_len(FEWEST_PX).for_each(|(line, intensity)| {
+        if !(*intensity == 0.0) {
             *line = -intensity.ln() as f32;
         }
-    }
+    });
 }
 
 /// Convolves `field` (row-major, columns × rows) with Gaussians along both axes.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::panel_costs::{PanelCosts, PanelWork};
 use super::plan::Sampling;
 use super::ray_counts::RayCounts;
 use super::spectrum::LANES;
@@ -38,18 +39,20 @@ pub struct Costs {
     pub between_ns: f64,
     /// A pixel and eight energies, in a scene of [`TIMED_MATERIALS`].
     pub energies_ns: f64,
-    /// A pixel and eight energies behind a heel: with and without the object. The ray's own share of heel or bow-tie is as much again.
-    pub shaped_ns: f64,
+    /// The same with what noise needs to know of the photons that arrive.
+    pub moments_ns: f64,
+    /// A pixel and eight energies behind a heel: without an object, and with it. The ray's own share of heel or bow-tie is as much again.
+    pub shaped_ns: [f64; 2],
     /// An image behind a heel: its tables.
     pub heel_ms: f64,
     /// A ray against a face where a scan was cut off.
     pub face_ns: f64,
-    /// A pixel's noise.
-    pub noise_ns: f64,
     /// A pixel in which nothing is seen.
     pub pixel_ns: f64,
     /// An image, however small: cores are woken, memory is fetched.
     pub image_ms: f64,
+    /// What comes after attenuation.
+    pub panel: PanelCosts,
 }
 
 impl Default for Costs {
@@ -70,12 +73,13 @@ impl Default for Costs {
             mesh_test_ns: 5.0,
             between_ns: 1.0,
             energies_ns: 12.0,
-            shaped_ns: 60.0,
+            moments_ns: 16.0,
+            shaped_ns: [24.0, 36.0],
             heel_ms: 0.5,
             face_ns: 40.0,
-            noise_ns: 60.0,
             pixel_ns: 10.0,
             image_ms: 0.1,
+            panel: PanelCosts::default(),
         }
     }
 }
@@ -106,8 +110,8 @@ pub struct Work {
     pub materials: usize,
     /// Energies at which every pixel is evaluated; none where heel or bow-tie do it.
     pub energies: usize,
-    /// Part of [`Costs::shaped_ns`] that beam shapes ask for at all energies of the spectrum; 0 where none varies from pixel to pixel.
-    pub shaped: f64,
+    /// How many times heel or bow-tie ask for [`Costs::shaped_ns`] at all energies of the spectrum: without an object, and with it.
+    pub shaped: [f64; 2],
     /// Whether there is a heel.
     pub heel: bool,
     /// Materials of the scene, met or not: the spectrum is attenuated by all, and all are interpolated.
@@ -116,8 +120,10 @@ pub struct Work {
     pub shaped_energies: usize,
     /// How many times a ray is tried against a face where a scan was cut off.
     pub face_tests: f64,
-    /// Whether noise is drawn.
-    pub noise: bool,
+    /// Whether noise needs to know of the photons that arrive.
+    pub moments: bool,
+    /// What comes after attenuation.
+    pub panel: PanelWork,
 }
 
 /// Materials of the scene that is timed.
@@ -141,21 +147,37 @@ impl Costs {
     pub fn predict_ms(&self, work: &Work, sampling: Sampling) -> f64 {
         let [blocks, shaped_blocks] = [work.energies, work.shaped_energies].map(|energies| energies.div_ceil(LANES) as f64);
         let listed = work.listed.max(1) as f64;
-        let pixel = self.pixel_ns
-            + self.energies_ns * blocks * listed / TIMED_MATERIALS
-            + work.shaped * self.shaped_ns * (shaped_blocks + 1.0)
-            + if work.noise { self.noise_ns } else { 0.0 };
+        let energies_ns = if work.moments { self.moments_ns } else { self.energies_ns };
+        let shaped_ns: f64 = work.shaped.iter().zip(self.shaped_ns).map(|(passes, ns)| passes * ns).sum();
+        let pixel = self.pixel_ns + energies_ns * blocks * listed / TIMED_MATERIALS + shaped_ns * (shaped_blocks + 1.0);
         let between = work.interpolated * self.between_ns * listed;
-        // The last round leaves cores idle; what comes in one piece has one core.
-        let cores = |pieces: f64| pieces / (pieces / self.threads as f64).ceil();
-        let cast =
-            |casting: &Casting| casting.rays * self.ray_ns(casting, work.materials, sampling) / cores(casting.bands.max(1.0));
-        let rest =
-            (work.pixels * pixel + between + work.face_tests * self.face_ns) / cores((work.pixels / CHUNK_PX).ceil().max(1.0));
+        let cast = |casting: &Casting| casting.rays * self.ray_ns(casting, work.materials, sampling) / self.cores(casting.bands);
+        let rest = (work.pixels * pixel + between + work.face_tests * self.face_ns) / self.cores_of(work.pixels);
         // Each further casting wakes the cores to cast and to interpolate.
         let woken = 1.0 + WAKES_FOR_CASTING * (work.castings.len().max(1) - 1) as f64;
         let ms = (work.castings.iter().map(cast).sum::<f64>() + rest) * 1e-6;
-        ms + self.image_ms * woken + if work.heel { self.heel_ms } else { 0.0 }
+        let heel_ms = if work.heel { self.heel_ms } else { 0.0 };
+        ms + self.image_ms * woken + heel_ms + self.panel_ms(&work.panel)
+    }
+
+    /// Milliseconds of them that what comes after attenuation takes: the same whatever was cast, and with a GPU as well.
+    #[must_use]
+    pub fn panel_ms(&self, panel: &PanelWork) -> f64 {
+        let by_pixel = panel.pixels * self.panel.pixel_ns(panel) / self.cores_of(panel.pixels);
+        // Pairs are many wherever there are any.
+        let spread = panel.block_pairs * self.panel.block_pair_ns / self.threads as f64;
+        (by_pixel + spread) * 1e-6
+    }
+
+    /// Cores that are at work on so many pieces, on average: the last round leaves some idle, and what comes in one piece has one.
+    fn cores(&self, pieces: f64) -> f64 {
+        let pieces = pieces.max(1.0);
+        pieces / (pieces / self.threads as f64).ceil()
+    }
+
+    /// The same on so many pixels.
+    fn cores_of(&self, pixels: f64) -> f64 {
+        self.cores((pixels / CHUNK_PX).ceil())
     }
 
     /// Nanoseconds of an average ray through volumes of so many `materials`.
@@ -194,15 +216,15 @@ impl Costs {
             [&mut self.walked_cell_ns, &mut self.far_cell_ns, &mut self.mesh_test_ns, &mut self.between_ns, &mut self.face_ns];
         let pixels = [
             &mut self.energies_ns,
-            &mut self.shaped_ns,
-            &mut self.noise_ns,
+            &mut self.moments_ns,
             &mut self.pixel_ns,
             &mut self.image_ms,
             &mut self.heel_ms,
             &mut self.line_ns,
         ];
         let slabs = self.exact_slab_ns.iter_mut().chain(&mut self.fixed_slab_ns).chain(&mut self.far_slab_ns);
-        rays.into_iter().chain(pixels).chain(slabs).chain(&mut self.volume_ns).chain(&mut self.solid_ns)
+        let pairs = self.solid_ns.iter_mut().chain(&mut self.shaped_ns);
+        rays.into_iter().chain(pixels).chain(slabs).chain(&mut self.volume_ns).chain(pairs).chain(self.panel.all_mut())
     }
 
     /// Whatever of the two is less, cost by cost.
@@ -241,8 +263,10 @@ mod tests {
         assert!(ms > 0.0);
         assert!(predict(&Work { listed: 9, ..work.clone() }) > ms);
         assert!(predict(&Work { energies: 120, ..work.clone() }) > ms);
-        assert!(predict(&Work { noise: true, ..work.clone() }) > ms);
-        assert!(predict(&Work { shaped: 1.0, shaped_energies: 8, ..work.clone() }) > ms);
+        assert!(predict(&Work { moments: true, ..work.clone() }) > ms);
+        for shaped in [[1.0, 0.0], [0.0, 1.0]] {
+            assert!(predict(&Work { shaped, shaped_energies: 8, ..work.clone() }) > ms);
+        }
         assert!(predict(&Work { face_tests: 1e5, ..work.clone() }) > ms);
         assert!(predict(&Work { interpolated: 1e6, ..work.clone() }) > ms);
         // A piece more than the cores take at a time: a second round.
@@ -268,6 +292,30 @@ mod tests {
         // What is cast twice costs both, and another waking.
         let twice = predict(&Work { castings: vec![cast(1e5, ray), sparse.clone()], ..work.clone() });
         assert!(twice > ms + with(sparse) - predict(&Work { castings: Vec::new(), ..work.clone() }));
+    }
+
+    /// The panel took as long as the rest of an image, and no prediction held any of it.
+    #[test]
+    fn an_image_takes_as_much_longer_as_its_panel_does() {
+        let costs = Costs { threads: 2, ..Costs::default() };
+        let ray = RayCounts { volumes: 1.0, slabs: 100.0, ..RayCounts::default() };
+        let cast = Casting { rays: 1e5, step_px: 1.0, bands: 2.0, drawn: vec![ray] };
+        let bare = Work { pixels: 1e5, castings: vec![cast], materials: 2, listed: 2, energies: 8, ..Work::default() };
+        let predict = |panel: PanelWork| costs.predict_ms(&Work { panel, ..bare.clone() }, Sampling::ExactSlabs);
+        let page = PanelWork { pixels: 1e5, plain_page: true, ..PanelWork::default() };
+        // 1e5 pixels and 25 weights of 1.5 ns and 25 of 0.7 ns on two cores.
+        let blurred = PanelWork { weights: [25.0; 2], ..page };
+        let weights = costs.panel.weight_ns.iter().sum::<f64>() * 25.0 * 1e5 / 2.0 * 1e-6;
+        assert!((predict(blurred) - predict(page) - weights).abs() < 0.02 * weights);
+        let glaring = PanelWork { block_pairs: 4e7, ..page };
+        let spread = costs.panel.block_pair_ns * 4e7 / 2.0 * 1e-6;
+        assert!(predict(glaring) - predict(page) > spread);
+        // It is the same part whatever is cast.
+        let part = costs.panel_ms(&blurred);
+        let alone = costs.predict_ms(&Work { panel: blurred, ..Work::default() }, Sampling::None);
+        let nothing = costs.predict_ms(&Work::default(), Sampling::None);
+        assert!((alone - nothing - part).abs() < 1e-9 && part > 0.0);
+        assert_eq!(costs.panel_ms(&PanelWork::default()), 0.0);
     }
 
     /// Of two times 19 and 40 ns through six slabs, with slabs of 3 and 2 ns, the lesser is left by slabs of 2 ns.

@@ -8,7 +8,7 @@ use super::cpu::attenuate_spectrum::Signal;
 use super::flood::Flood;
 use crate::geometry::View;
 use crate::random::{Purpose, Stream};
-use crate::scene::model::{Noise, Response, Scene};
+use crate::scene::model::{Noise, ReadoutNoise, Response, Scene};
 
 /// N(u) = N₀(u) Σ φ T.
 #[must_use]
@@ -25,8 +25,10 @@ pub fn expected_photons(signal: &Signal, flood: &Flood) -> Vec<f32> {
 #[must_use]
 pub fn seen_line_integral(scene: &Scene, view: &View, arriving: &[f32], flood: &Flood) -> Vec<f32> {
     let close = |(pixel, line): (usize, &f32)| *line - flood.open(pixel).ln() as f32;
-    let mut line: Vec<f32> =
-        if flood.open.is_empty() { arriving.to_vec() } else { arriving.iter().enumerate().map(close).collect() };
+    let mut line: Vec<f32> = match flood.open.is_empty() {
+        true => arriving.to_vec(),
+        false => arriving.par_iter().enumerate().with_min_len(4096).map(close).collect(),
+    };
     if scene.detector.panel.blur_fwhm_mm > 0.0 {
         blur_line_integral(&mut line, view.size_px.map(|n| n as usize), scintillator_sigma_px(scene, view));
     }
@@ -34,7 +36,7 @@ pub fn seen_line_integral(scene: &Scene, view: &View, arriving: &[f32], flood: &
 }
 
 /// σ of the spread of light along columns' and rows' direction.
-fn scintillator_sigma_px(scene: &Scene, view: &View) -> [f64; 2] {
+pub(super) fn scintillator_sigma_px(scene: &Scene, view: &View) -> [f64; 2] {
     let sdd_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
     let sigma_mm = scene.detector.panel.blur_fwhm_mm / FWHM_PER_SIGMA;
     [view.intrinsics.fx, view.intrinsics.fy].map(|focal_px| sigma_mm * focal_px / sdd_mm)
@@ -60,23 +62,28 @@ pub fn intensity_noise(scene: &Scene, view: &View, flood: &Flood, signal: &Signa
     }
     let mut noise = correlated(&field, width, height, &scene.detector.crosstalk);
     if let Some(readout) = scene.detector.readout_noise {
-        // First-order autoregression along the row: e_c = ρ e_{c−1} + √(1 − ρ²) z_c has unit variance everywhere.
-        let fresh = (1.0 - readout.row_correlation.powi(2)).sqrt();
-        noise.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
-            let mut error = 0.0;
-            for (column, value) in values.iter_mut().enumerate() {
-                let pixel = row * width + column;
-                let z = Stream::new(scene.model.seed, frame, pixel as u32, Purpose::ReadoutNoise).normal();
-                error = if column == 0 { z } else { readout.row_correlation * error + fresh * z };
-                *value += (readout.sigma * error / flood.relative_signal(pixel)) as f32;
-            }
-        });
+        read_out(readout, (scene.model.seed, frame), flood, width, &mut noise);
     }
     noise
 }
 
+/// Adds readout noise, keyed by (seed, frame), to the noise of an image so many pixels wide.
+// First-order autoregression along the row: e_c = ρ e_{c−1} + √(1 − ρ²) z_c has unit variance everywhere.
+pub(super) fn read_out(readout: ReadoutNoise, (seed, frame): (u64, u32), flood: &Flood, width: usize, noise: &mut [f32]) {
+    let fresh = (1.0 - readout.row_correlation.powi(2)).sqrt();
+    noise.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
+        let mut error = 0.0;
+        for (column, value) in values.iter_mut().enumerate() {
+            let pixel = row * width + column;
+            let z = Stream::new(seed, frame, pixel as u32, Purpose::ReadoutNoise).normal();
+            error = if column == 0 { z } else { readout.row_correlation * error + fresh * z };
+            *value += (readout.sigma * error / flood.relative_signal(pixel)) as f32;
+        }
+    });
+}
+
 /// `field` convolved with an odd square kernel; mirrored at the borders, so that the variance there is that of the inside.
-fn correlated(field: &[f32], width: usize, height: usize, kernel: &[Vec<f64>]) -> Vec<f32> {
+pub(super) fn correlated(field: &[f32], width: usize, height: usize, kernel: &[Vec<f64>]) -> Vec<f32> {
     let size = kernel.len();
     if size <= 1 {
         return field.to_vec();

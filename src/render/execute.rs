@@ -8,6 +8,7 @@ use super::cpu::attenuate_spectrum::attenuate_spectrum;
 use super::cpu::integrate_density::Density;
 use super::detector;
 use super::explain::explain_empty;
+use super::made::Made;
 use super::non_finite::{self, NonFinite};
 use super::plan::{Executor, Plan, Sampling, noise_applies, scatter_left_out};
 use super::prepared::Prepared;
@@ -209,6 +210,7 @@ impl Renderer {
             notes,
             non_finite,
             achieved: None,
+            made: Made::default(),
         })
     }
 

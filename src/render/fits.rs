@@ -13,6 +13,8 @@ pub struct Fits {
     made: Vec<Fit>,
     /// Fits are made for paths this many times those that the scene needs, so that they serve other views as well; 0 and 1 are the same.
     pub room: f64,
+    /// How many were made or tried, also those that are forgotten.
+    pub tried: usize,
 }
 
 /// What is fitted.
@@ -76,6 +78,7 @@ impl Fits {
         if let Some(fit) = self.made.iter().find(|fit| fit.key == key && fit.answers(&needed)) {
             return Ok(fit.quadrature.clone().map(|quadrature| (quadrature, fit.largest_g_per_cm2.clone())));
         }
+        self.tried += 1;
         let largest_g_per_cm2 = region(&needed, self.room.max(1.0));
         let energies_kev: Vec<f64> = nodes.iter().map(|node| node.energy_kev).collect();
         let weights =

@@ -101,8 +101,9 @@ pub(super) fn distort(intensifier: &Intensifier, signal: &mut Signal, flood: &mu
     if !signal.arriving.is_empty() {
         signal.arriving = looks.par_iter().with_min_len(4096).map(|look| look.arriving(&signal.arriving)).collect();
     }
-    *valid = looks.iter().map(|look| u8::from(look.area > 0.0 && look.weighed().all(|(pixel, _)| valid[pixel] != 0))).collect();
-    flood.resample(|values| looks.iter().map(|look| look.mean(values)).collect());
+    let sees_valid = |look: &Look| u8::from(look.area > 0.0 && look.weighed().all(|(pixel, _)| valid[pixel] != 0));
+    *valid = looks.par_iter().with_min_len(4096).map(sees_valid).collect();
+    flood.resample(|values| looks.par_iter().with_min_len(4096).map(|look| look.mean(values)).collect());
     flood.photons.iter_mut().zip(&looks).filter(|(_, look)| look.area > 0.0).for_each(|(photons, look)| *photons *= look.area);
     if flood.open.is_empty() {
         flood.open = vec![1.0; looks.len()];

@@ -47,7 +47,7 @@ pub struct Plan {
     /// What the bound consists of.
     #[serde(default)]
     pub error_parts: ErrorParts,
-    /// Milliseconds by the cost model of this machine, preparation of volumes aside; `None` where there is no model.
+    /// Milliseconds by the cost model of this machine, from rays to page, preparation of volumes aside; `None` where there is no model.
     #[serde(default)]
     pub predicted_ms: Option<f64>,
     /// Milliseconds by the cost model of a typical core, which ranks plans for an error; `None` where there is no model.

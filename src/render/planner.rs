@@ -3,6 +3,8 @@
 use super::costs::{Casting, Costs, Work};
 use super::cpu::integrate_density::band_rows;
 use super::fits::{Fits, nodes_of};
+use super::panel_costs::PanelWork;
+use super::panel_work::{panel_work, shaped};
 use super::pilot::{self, Pilot};
 use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies};
 use super::plan_parts::response;
@@ -85,8 +87,10 @@ impl Planner {
         // Ranking by typical costs for an error, so that the same scene gets the same plan on any day; by this machine's for a time.
         let ranking = if matches!(task.goal, Goal::BudgetMs(_)) { costs.clone() } else { Costs::default() };
         let every_energy = plan.energy_nodes.len();
-        let mut candidates =
-            self.candidates(task, &pilot, whole_ways(task, &pilot, plan.sampling, rounding), &ranking, every_energy)?;
+        // The same for every candidate: of a time it leaves less to cast in.
+        let panel = panel_work(scene, &task.view, task.quantity, task.executor);
+        let ways = whole_ways(task, &pilot, plan.sampling, rounding);
+        let mut candidates = self.candidates(task, &pilot, ways, &ranking, every_energy, panel)?;
         let coarser = match task.goal {
             Goal::MaxError(_) => false,
             // Nothing is as accurate as casting every pixel, as long as there is time.
@@ -101,27 +105,25 @@ impl Planner {
             {
                 candidates.clear();
             }
-            candidates.extend(self.candidates(task, &pilot, ways, &ranking, every_energy)?);
+            candidates.extend(self.candidates(task, &pilot, ways, &ranking, every_energy, panel)?);
         }
         let chosen = choose(&candidates, task.goal).cloned();
         let Some(chosen) = chosen else { return Ok(plan) };
         self.apply(&mut plan, task, &pilot, &chosen)?;
+        let work = work(task, &pilot, &chosen.way, plan.energy_nodes.len(), panel);
         if task.executor == Executor::Cpu {
-            let work = work(task, &pilot, &chosen.way, plan.energy_nodes.len());
-            let predicted_ms = costs.predict_ms(&work, chosen.way.sampling);
-            if let Goal::BudgetMs(ms) = task.goal
-                && !(predicted_ms <= ms)
-            {
-                let words = format!("{ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms");
-                plan.say("budget", false, words);
-            }
-            plan.predicted_ms = Some(predicted_ms);
+            plan.predicted_ms = Some(costs.predict_ms(&work, chosen.way.sampling));
             plan.typical_ms = Some(Costs::default().predict_ms(&work, chosen.way.sampling));
+        }
+        if let Goal::BudgetMs(ms) = task.goal
+            && let Some(words) = unmet(ms, plan.predicted_ms, costs.panel_ms(&panel))
+        {
+            plan.say("budget", false, words);
         }
         Ok(plan)
     }
 
-    /// Measures what this machine costs, unless that is known: a second, now and then again.
+    /// Measures what this machine costs, unless that is known: a second or two, now and then again.
     pub fn calibrate(&mut self) {
         self.costs.get_or_insert_with(of_this_machine);
     }
@@ -134,6 +136,7 @@ impl Planner {
         ways: Vec<Way>,
         ranking: &Costs,
         every_energy: usize,
+        panel: PanelWork,
     ) -> Result<Vec<Candidate>, RenderError> {
         let with_energies = task.quantity != Quantity::AreaDensity;
         let fits = with_energies && task.scene.model.formation == Formation::Deepdrr && quadrature_applies(task.scene);
@@ -149,7 +152,7 @@ impl Planner {
                 let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
                 let parts =
                     ErrorParts { sampling: way.sampling_error, energies: energies_error, interpolation: way.interpolation };
-                let cost = ranking.predict_ms(&work(task, pilot, &way, nodes), way.sampling);
+                let cost = ranking.predict_ms(&work(task, pilot, &way, nodes, panel), way.sampling);
                 candidates.push(Candidate { way: way.clone(), energies, parts, cost });
             }
         }
@@ -298,7 +301,7 @@ fn quadrature_applies(scene: &Scene) -> bool {
     scene.materials.len() <= quadrature::MOST_MATERIALS && !scene.beam.shape.varies()
 }
 
-fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
+fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize, panel: PanelWork) -> Work {
     let pixels = f64::from(task.view.size_px[0]) * f64::from(task.view.size_px[1]);
     let materials = pilot.largest_g_per_cm2.iter().filter(|largest| **largest > 0.0).count();
     Work {
@@ -318,7 +321,8 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         listed: task.scene.materials.len(),
         face_tests: pilot.face_tests,
         shaped: shaped(task.scene, task.quantity),
-        noise: noise_applies(task.scene, task.quantity),
+        moments: noise_applies(task.scene, task.quantity),
+        panel,
     }
 }
 
@@ -347,13 +351,31 @@ fn castings(task: &Task, pilot: &Pilot, way: &Way) -> Vec<Casting> {
     }
 }
 
-/// Passes over the spectrum that heel and bow-tie take, in those of a heel: it is needed with and without the object, a bow-tie alone only
-/// with it, and where there is one mean attenuation only the beam itself.
-fn shaped(scene: &Scene, quantity: Quantity) -> f64 {
-    let shape = &scene.beam.shape;
-    match (shape.varies() && quantity != Quantity::AreaDensity, shape.heel.is_some(), scene.model.formation) {
-        (false, ..) => 0.0,
-        (true, true, Formation::Deepdrr) => 1.0,
-        (true, ..) => 0.6,
+/// Why an image cannot be made within `budget_ms`, if so. Of what a GPU casts nothing is predicted but what the processor makes of it.
+fn unmet(budget_ms: f64, predicted_ms: Option<f64>, panel_ms: f64) -> Option<String> {
+    let what = "beam shape, noise and panel";
+    match predicted_ms {
+        Some(predicted_ms) if !(predicted_ms <= budget_ms) => Some(format!(
+            "{budget_ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms, {panel_ms:.2} ms of them for {what}"
+        )),
+        None if !(panel_ms <= budget_ms) => Some(format!(
+            "{budget_ms} ms cannot be met: {what}, which the processor does, are alone predicted to take {panel_ms:.2} ms"
+        )),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::unmet;
+
+    #[test]
+    fn a_budget_that_cannot_be_met_says_what_the_panel_takes_of_it() {
+        let whole = unmet(5.0, Some(20.0), 8.0).expect("too little");
+        assert!(whole.contains("take 20.00 ms, 8.00 ms of them"), "{whole}");
+        let after = unmet(5.0, None, 8.0).expect("too little, whatever a GPU takes");
+        assert!(after.contains("alone predicted to take 8.00 ms"), "{after}");
+        assert_eq!([unmet(5.0, Some(5.0), 8.0), unmet(5.0, None, 4.0)], [None, None]);
+        assert!(unmet(5.0, Some(f64::NAN), 0.0).is_some());
     }
 }

@@ -7,6 +7,7 @@ use super::before_panel::{before_panel, is_before_panel};
 use super::checks::check;
 use super::cpu::fixed_lanes::is_fast;
 use super::guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
+use super::made::Made;
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
 use super::planner::{DEFAULT_MAX_ERROR, Goal, LEAST_FIXED_ERROR, Planner, Task};
@@ -76,6 +77,8 @@ pub struct Rendered {
     pub non_finite: Option<NonFinite>,
     /// What another plan achieved, measured against this image.
     pub achieved: Option<(Plan, Achieved)>,
+    /// What had to be made for it; nothing where the renderer was warm.
+    pub made: Made,
 }
 
 /// Renders; owns the device and what it prepared of volumes.
@@ -206,6 +209,13 @@ impl Renderer {
         stages.measure("plan", || self.planner.refine(plan, &Task { goal, ..task }, |view| cache.prepare(scene, view, slabs)))
     }
 
+    /// All that was made so far of volumes and spectra.
+    #[must_use]
+    pub fn made(&self) -> Made {
+        let [volumes, copies] = self.volumes.made();
+        Made { volumes, copies, fits: self.planner.fits.tried }
+    }
+
     /// The objects of `scene` for small pictures about `view`, on the processor: with fewer slices, which are kept for the next.
     #[must_use]
     pub fn thinned(&mut self, scene: &Scene, view: &View) -> Vec<Object> {
@@ -244,6 +254,7 @@ impl Renderer {
     pub fn render(&mut self, scene: &Scene, options: &Options) -> Result<Rendered, RenderError> {
         scene.view.ok_or(RenderError::NoView)?;
         check(scene)?;
+        let before = self.made();
         let mut stages = StageTimes::default();
         let plan = self.plan_timed(scene, options, &mut stages)?;
         let mut ready = [self.ready(scene, plan, options, stages)?];
@@ -251,6 +262,7 @@ impl Renderer {
         let [ready] = ready;
         let cast = cast.into_iter().next().ok_or(RenderError::NoView)?;
         let mut rendered = self.finish(ready, cast, options)?;
+        rendered.made = self.made() - before;
         if options.guessed
             && let Some(mask) = rendered.stages.measure("guessed", || guessed(scene))?
         {
@@ -335,8 +347,8 @@ impl Rendered {
     }
 }
 
-/// Milliseconds of the stages that make an image, planning and preparation aside.
+/// Milliseconds of the stages that make an image, planning and preparation aside, and what is found out about it besides.
 #[must_use]
 pub fn image_ms(stages: &StageTimes) -> f64 {
-    stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare" | "calibrate")).map(|(_, ms)| ms).sum()
+    stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare" | "calibrate" | "guessed")).map(|(_, ms)| ms).sum()
 }

@@ -250,6 +250,13 @@ impl Slabs {
         self.densest.map(|densest| densest / f32::from(WORD_OF_DENSEST))
     }
 
+    /// Copies that were made, rounded or not.
+    #[must_use]
+    pub fn copies_made(&self) -> usize {
+        let rounded = self.rounded.iter().filter(|copy| copy.get().is_some()).count();
+        rounded + self.copies.iter().filter(|copy| copy.get().is_some()).count()
+    }
+
     /// The copy for slabs across `axis`, once [`Slabs::prepare`] made it.
     #[must_use]
     pub fn grid(&self, axis: usize) -> Option<SlabGrid<'_>> {

@@ -1,4 +1,4 @@
-//! What the parts of rendering cost on this machine: measured in a second, kept in the user's cache folder.
+//! What the parts of rendering cost on this machine: measured in a second or two, kept in the user's cache folder.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,20 +8,20 @@ use std::time::Duration;
 use rayon::prelude::*;
 
 use super::cells::Cells;
-use super::chain::{self, Wanted};
 use super::costs::Costs;
-use super::cpu::add_noise::add_noise;
-use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
+use super::cpu::attenuate_spectrum::attenuate_spectrum;
 use super::cpu::enlarge_density::enlarge_density;
 use super::cpu::fixed_lanes::is_fast;
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::cut_faces;
+use super::flood::{self, Weights};
 use super::meshes::MadeMesh;
-use super::plan::{Executor, Sampling};
+use super::plan::{Node, Sampling};
 use super::prepared::Prepared;
 use super::ray_counts::{RayCounts, SlabsOfRay};
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
+use super::timed_panel;
 use super::timed_scenes::{
     EDGE, FAR_EDGE, cells_per_slab, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes,
 };
@@ -34,7 +34,7 @@ use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 12;
+const METHOD: u32 = 13;
 
 /// Costs are measured once more when the last time is so long ago, and twice as long after each time: others may have used the machine
 /// before, for a minute or for an hour.
@@ -148,21 +148,15 @@ fn measure() -> Costs {
         let g_per_cm2 = (0..pixels * count).map(|i| 0.5 + (i % 97) as f32 * 0.2).collect();
         let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels] };
         let blocks = (bins.padded / LANES) as f64;
-        costs.energies_ns = per(fastest(|| drop(attenuate_spectrum(&density, &bins, false))), pixels as f64 * blocks);
-        if let (Some(heeled), Some(view)) = (test_scene(r#""heel": {"anode_towards": "+column"},"#), scene.view) {
-            let shape_ms = |size_px: [u32; 2]| {
-                let seen = size_px.iter().map(|n| *n as usize).product::<usize>();
-                let (g_per_cm2, valid) = (density.g_per_cm2[..seen * count].to_vec(), vec![1; seen]);
-                let density = Density { g_per_cm2, valid, ..density };
-                let made_by = (nodes.as_slice(), Executor::Cpu);
-                let view = View { size_px, ..view };
-                fastest(|| {
-                    drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), Wanted::default()))
-                })
-            };
-            let (whole_ms, small_ms) = (shape_ms(view.size_px), shape_ms([1; 2]));
-            costs.shaped_ns = per((whole_ms - small_ms).max(0.0), (EDGE * EDGE) as f64 * (blocks + 1.0));
-            costs.heel_ms = small_ms;
+        let attenuated =
+            |moments: bool| per(fastest(|| drop(attenuate_spectrum(&density, &bins, moments))), pixels as f64 * blocks);
+        (costs.energies_ns, costs.moments_ns) = (attenuated(false), attenuated(true));
+        if let Some([alone_ms, seen_ms, tables_ms]) = heel_ms(&nodes, &bins, &density) {
+            costs.shaped_ns = [alone_ms, seen_ms].map(|ms| per(ms, rays * (blocks + 1.0)));
+            costs.heel_ms = tables_ms;
+        }
+        if let Ok(panel) = timed_panel::measure((&scene, &nodes, &bins), threads, |work| fastest(work)) {
+            costs.panel = panel;
         }
     }
     let of_tubes = |are_met: bool| {
@@ -194,9 +188,20 @@ fn measure() -> Costs {
             costs.image_ms = WAKES * woken_ms;
         }
     }
-    let expected: Vec<f32> = (0..pixels).map(|i| 10.0 + (i % 4096) as f32).collect();
-    costs.noise_ns = per(fastest(|| drop(add_noise(&expected, 1, 0))), pixels as f64);
     costs
+}
+
+/// Milliseconds that a beam behind a heel takes without an object and behind the first pixels of `density`, and its tables.
+fn heel_ms(nodes: &[Node], bins: &Bins, density: &Density) -> Option<[f64; 3]> {
+    let scene = test_scene(r#""heel": {"anode_towards": "+column"},"#)?;
+    let view = scene.view?;
+    let pixels = view.size_px.iter().map(|n| *n as usize).product::<usize>();
+    let g_per_cm2 = density.g_per_cm2[..pixels * density.material_count].to_vec();
+    let density = Density { g_per_cm2, valid: vec![1; pixels], ..*density };
+    let weights = Weights::new(&scene, nodes, bins).ok()?;
+    let alone_ms = fastest(|| drop(flood::flood(&scene, &view, &weights, true)));
+    let seen_ms = fastest(|| drop(flood::attenuate(&view, &density, bins, &weights, false)));
+    Some([alone_ms, seen_ms, fastest(|| drop(Weights::new(&scene, nodes, bins)))])
 }
 
 /// What `time` says of the scene with `volume` as all that is in it.
@@ -293,6 +298,7 @@ fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) ->
 
 #[cfg(test)]
 mod tests {
+    use super::super::panel_costs::PanelCosts;
     use super::*;
 
     #[test]
@@ -324,10 +330,14 @@ mod tests {
     fn costs_measured_here_are_sound_and_nan_is_not() {
         let costs = measure();
         assert!(costs.is_sound(), "{costs:?}");
-        assert!(!Costs { noise_ns: f64::NAN, ..costs.clone() }.is_sound());
+        assert!(!Costs { moments_ns: f64::NAN, ..costs.clone() }.is_sound());
+        let panel = |drawn_ns: f64| PanelCosts { drawn_ns, ..costs.panel.clone() };
+        assert!(!Costs { panel: panel(f64::NAN), ..costs.clone() }.is_sound());
         assert!(!Costs { threads: 0, ..costs.clone() }.is_sound());
-        let crowded = Costs { face_ns: 9.0 * costs.face_ns, noise_ns: 0.5 * costs.noise_ns, rounds: 1, ..costs.clone() };
+        let panel = panel(0.5 * costs.panel.drawn_ns);
+        let crowded = Costs { face_ns: 9.0 * costs.face_ns, panel, rounds: 1, ..costs.clone() };
         let least = costs.clone().least(&crowded);
-        assert_eq!((least.face_ns, least.noise_ns, least.rounds), (costs.face_ns, crowded.noise_ns, costs.rounds + 1));
+        let found = (least.face_ns, least.panel.drawn_ns, least.rounds);
+        assert_eq!(found, (costs.face_ns, crowded.panel.drawn_ns, costs.rounds + 1));
     }
 }

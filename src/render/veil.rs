@@ -12,14 +12,26 @@ const POINTS: i32 = 6;
 /// Blocks that are nearby.
 const NEAR: i32 = 3;
 
+/// Side of the blocks of a frame in pixels, and how many there are across and down.
+fn blocks([width, height]: [usize; 2]) -> (usize, [usize; 2]) {
+    let factor = width.max(height).div_ceil(BLOCKS).max(1);
+    (factor, [width.div_ceil(factor), height.div_ceil(factor)])
+}
+
+/// Pairs of blocks between which the light of a frame is spread.
+#[must_use]
+pub fn block_pairs(size_px: [usize; 2]) -> f64 {
+    let (_, [across, down]) = blocks(size_px);
+    ((across * down) as f64).powi(2)
+}
+
 /// All of `light` (row-major, one sum per pixel) spread with the scale k, per pixel. What leaves the frame is lost, nothing enters it.
 #[must_use]
 pub fn spread(light: &[f64], [width, height]: [usize; 2], scale_px: f64) -> Vec<f64> {
     if light.is_empty() {
         return Vec::new();
     }
-    let factor = width.max(height).div_ceil(BLOCKS);
-    let (across, down) = (width.div_ceil(factor), height.div_ceil(factor));
+    let (factor, [across, down]) = blocks([width, height]);
     let mut sums = vec![0.0; across * down];
     for (index, value) in light.iter().enumerate() {
         sums[index / width / factor * across + index % width / factor] += value;
@@ -77,7 +89,15 @@ fn kernel(count: usize, side_px: f64, scale_px: f64) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::spread;
+    use super::{block_pairs, spread};
+
+    #[test]
+    fn a_frame_has_as_many_blocks_along_its_longer_side_whatever_its_pixels() {
+        assert_eq!(block_pairs([96, 48]), (96.0f64 * 48.0).powi(2));
+        assert_eq!(block_pairs([1536, 768]), block_pairs([96, 48]));
+        // Seven pixels a side: 89 by 69.
+        assert_eq!(block_pairs([620, 480]), (89.0f64 * 69.0).powi(2));
+    }
 
     /// In the middle of an even disc of radius R the glare is 1 − e^(−R/k), and outside, at distance d, what quadrature gives.
     #[test]

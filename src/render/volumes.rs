@@ -18,6 +18,8 @@ pub struct VolumeCache {
     held: Vec<Held>,
     meshes: MeshCache,
     thinned: Vec<Thinned>,
+    /// Volumes that were prepared, also those that are forgotten.
+    prepared: usize,
 }
 
 /// A volume of fewer slices, for small pictures.
@@ -47,7 +49,7 @@ type Made = (Arc<Cells>, Option<Arc<Slabs>>);
 impl VolumeCache {
     /// Forgets volumes and meshes that `scene` does not hold: those of small pictures beside another, or those of others.
     pub fn keep(&mut self, scene: &Scene, beside: bool) {
-        let Self { held, meshes, thinned } = self;
+        let Self { held, meshes, thinned, .. } = self;
         let is_there = |volume: &Arc<Volume>| holds(scene, |matter| matter.volumes().iter().any(|of| Arc::ptr_eq(of, volume)));
         thinned.retain(|thinned| beside || is_there(&thinned.of));
         let is_thin = |volume: &Arc<Volume>| thinned.iter().any(|thinned| Arc::ptr_eq(&thinned.is, volume));
@@ -93,9 +95,22 @@ impl VolumeCache {
     /// # Errors
     /// When a volume is not what its size says, or as [`Prepared::new`].
     pub fn prepare<'a>(&mut self, scene: &'a Scene, view: View, slabs: bool) -> Result<Prepared<'a>, RenderError> {
-        let Self { held, meshes, .. } = self;
+        let Self { held, meshes, prepared, .. } = self;
         let air = (0..scene.materials.len()).find(|material| scene.is_air(*material));
-        Prepared::new(scene, view, |volume, name| make(held, volume, name, air, slabs), |mesh| meshes.make(mesh))
+        let cells_of = |volume: &'a Arc<Volume>, name: &str| {
+            let known = held.len();
+            let made = make(held, volume, name, air, slabs);
+            *prepared += held.len() - known;
+            made
+        };
+        Prepared::new(scene, view, cells_of, |mesh| meshes.make(mesh))
+    }
+
+    /// Volumes that were prepared, and copies that are kept of them.
+    #[must_use]
+    pub fn made(&self) -> [usize; 2] {
+        let slabs = self.held.iter().filter_map(|held| held.slabs.as_ref()?.as_ref());
+        [self.prepared, slabs.map(|slabs| slabs.copies_made()).sum()]
     }
 }
 

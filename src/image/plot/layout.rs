@@ -20,6 +20,8 @@ pub(super) struct Layout {
     pub bottom: f64,
     pub scales: [Scale; 2],
     pub ranges: [[f64; 2]; 2],
+    /// Decimals of places: a page holds many lines of many points.
+    pub decimals: usize,
     /// Round numbers along x and y, about so many.
     counts: [usize; 2],
 }
@@ -32,16 +34,25 @@ impl Layout {
         };
         let (scales, ranges) = ([plot.x.scale, plot.y.scale], ranges(plot, counts)?);
         let layout = match plot.place {
-            Place::Alone => {
-                Self { width: 760.0, height: 460.0, left: 78.0, right: 742.0, top: 44.0, bottom: 404.0, scales, ranges, counts }
-            }
+            Place::Alone => Self {
+                width: 760.0,
+                height: 460.0,
+                left: 78.0,
+                right: 742.0,
+                top: 44.0,
+                bottom: 404.0,
+                scales,
+                ranges,
+                decimals: 2,
+                counts,
+            },
             Place::InPage { height } => {
                 let names = plot.y.named.iter().map(|tick| legend::width_of(&tick.label) + 2.0 * BESIDE);
                 let left = names.fold(62.0, f64::max);
                 let (width, right) = (640.0, 626.0);
                 let top = 10.0 + legend::height(&plot.series, right - left);
                 let bottom = top + height;
-                Self { width, height: bottom + 42.0, left, right, top, bottom, scales, ranges, counts }
+                Self { width, height: bottom + 42.0, left, right, top, bottom, scales, ranges, decimals: 1, counts }
             }
         };
         Ok(layout)

@@ -71,10 +71,10 @@ fn bands(series: &Series, colour: &str, layout: &Layout, svg: &mut String) {
 fn line(series: &Series, colour: &str, layout: &Layout, svg: &mut String) {
     let stepped = if series.stroke == Stroke::Steps { steps(&series.points) } else { Vec::new() };
     let points = if series.stroke == Stroke::Steps { &stepped } else { &series.points };
-    let (mut path, mut pen_down) = (String::new(), false);
+    let (mut path, mut pen_down, digits) = (String::new(), false, layout.decimals);
     for place in points.iter().map(|point| layout.place(*point)) {
         if let Some([u, v]) = place {
-            let _ = write!(path, "{}{u:.2} {v:.2}", if pen_down { 'L' } else { 'M' });
+            let _ = write!(path, "{}{u:.digits$} {v:.digits$}", if pen_down { 'L' } else { 'M' });
         }
         pen_down = place.is_some();
     }

@@ -29,6 +29,14 @@ fn the_kit_is_whole_and_its_files_agree() {
         json(&folder, name.as_str().expect("a file"));
     }
     let truth = json(&folder, "truth.json");
+    // The session's landmarks are those at which the truth is judged.
+    let landmarks = json(&folder, session["landmarks"].as_str().expect("a file"));
+    let stated = landmarks["markups"][0]["controlPoints"].as_array().expect("points");
+    let known = truth["landmarks"].as_array().expect("points");
+    assert!(known.len() >= 3 && stated.len() == known.len());
+    for (stated, known) in stated.iter().zip(known) {
+        assert_eq!((&stated["label"], &stated["position"]), (&known["name"], &known["lps_mm"]));
+    }
     let frames = truth["frames"].as_array().expect("frames");
     assert!(frames.len() >= 6);
     let seen: Vec<usize> = frames

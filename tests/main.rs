@@ -119,6 +119,7 @@ mod compare_thin;
 mod report_files;
 mod report_marks;
 mod report_page;
+mod gallery;
 mod viewer_boards;
 mod viewer_drawn;
 mod viewer_mouse;

@@ -183,9 +183,7 @@ fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
         })
     };
     let frames: Vec<Value> = lab.exposures.iter().take(script.count()).enumerate().map(frame).collect();
-    let named = |points: &[Bead]| -> Vec<Value> {
-        points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect()
-    };
+    let named = |points: &[Bead]| -> Vec<Value> { points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect() };
     Ok(json!({
         "frames": frames, "landmarks": named(&phantom.landmarks), "beads": named(&phantom.beads), "air_value": lab.air_value,
         "world_from_lps": true_world_from_lps(lab, 0)

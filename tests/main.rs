@@ -134,6 +134,7 @@ mod mask_field;
 mod mask_matter;
 mod mask_pelvis;
 mod mask_shutters;
+mod mcap_numbers;
 mod mcap_tree;
 mod measure_commands;
 mod render_scenes;

@@ -104,7 +104,8 @@ fn joints_are_those_of_the_packets_in_metres_and_radians() {
     let names = ["lift", "wig_wag", "longitudinal", "angulation", "orbital", "detector_rotation", "source_to_detector"];
     // Lift, longitudinal and the distance to the detector are lengths.
     let of_foxglove = |joint: usize, value: f64| if [0, 2, 6].contains(&joint) { value / 1e3 } else { value.to_radians() };
-    let converted = |joints: &[f64; 7]| joints.iter().enumerate().map(|(joint, value)| of_foxglove(joint, *value)).collect();
+    let converted =
+        |joints: &[f64; 7]| -> Vec<f64> { joints.iter().enumerate().map(|(joint, value)| of_foxglove(joint, *value)).collect() };
     let sent: Vec<Vec<f64>> = arm.iter().map(converted).collect();
     let arms = joints_are_those_of(&messages, "/carm/joint_states", &names, &sent);
     let as_sent: Vec<Vec<f64>> = arm.iter().map(|joints| joints.to_vec()).collect();
@@ -117,7 +118,8 @@ fn joints_are_those_of_the_packets_in_metres_and_radians() {
         .map(|packet| {
             let [commanded, sensed] = [0, 20].map(|from| (0..5).map(|n| f32_at(packet, from + 4 * n)).collect::<Vec<f64>>());
             let is_sensed = packet[2] & 1 == 1 && sensed.iter().all(|angle| angle.is_finite());
-            if is_sensed { sensed } else { commanded }.iter().map(|angle| angle.to_radians()).collect()
+            let angles = if is_sensed { sensed } else { commanded };
+            angles.into_iter().map(f64::to_radians).collect()
         })
         .collect();
     let names = ["control_1", "control_2", "control_3", "control_4", "control_5"];

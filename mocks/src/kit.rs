@@ -61,12 +61,18 @@ fn displaced(world_from_lps: &Mat4, by: &Displacement) -> Mat4 {
     mul(&mul(&translation(x, y, z), world_from_lps), &turned)
 }
 
-/// Writes the lab kit into `folder`: CT, beads, landmarks, scene, calibrations, session and truth; C-arm and robot where `with` says so. A CT is taken
-/// from `drawn` where it was kept there.
+/// Writes the lab kit into `folder`: CT, beads, landmarks, scene, calibrations, session and truth; C-arm and robot where they have a port.
+/// A CT is taken from `drawn` where it was kept there.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with: [bool; 2], drawn: Option<&Path>) -> Result<(), MockError> {
+pub fn write(
+    folder: &Path,
+    script: &Script,
+    phantom: &Phantom,
+    ports: [Option<&str>; 2],
+    drawn: Option<&Path>,
+) -> Result<(), MockError> {
     let lab = script.lab;
     std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
     let ct = drawn::once(drawn, &format!("{phantom:?}"), || voxelise(phantom).packed())?;
@@ -81,9 +87,9 @@ pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with: [bool; 2],
     put(folder, "k.json", &k)?;
     put(folder, "scene.json", &scene)?;
     put(folder, "scene-001.json", &of_first_frame(lab, &arm(lab)?, scene, &k))?;
-    let [with_carm, with_robot] = with;
-    let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
-    let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
+    let [carm, robot] = ports;
+    let carm = carm.map(|port| json!({"port": port, "baud": 921_600, "calibration": "carm.json"}));
+    let robot = robot.map(|port| json!({"port": port, "baud": 921_600, "model": "robot.json"}));
     let session = json!({
         "carm": carm, "robot": robot, "frames": {"folder": "frames"}, "scene": "scene.json", "beads": "beads.mrk.json",
         "landmarks": "landmarks.mrk.json", "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"

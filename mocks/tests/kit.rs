@@ -22,9 +22,10 @@ fn the_kit_is_whole_and_its_files_agree() {
     let folder = folder("kit");
     let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
     let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-    write(&folder, &script, &phantom, [true, false], None).expect("written");
+    write(&folder, &script, &phantom, [Some("udp://127.0.0.1:5005"), None], None).expect("written");
     let session = json(&folder, "session.json");
     assert!(session["robot"].is_null(), "no robot was asked for");
+    assert_eq!(session["carm"]["port"], "udp://127.0.0.1:5005");
     for name in [&session["carm"]["calibration"], &session["scene"], &session["beads"]] {
         json(&folder, name.as_str().expect("a file"));
     }
@@ -121,7 +122,7 @@ fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
     let folder = folder("moved");
     let truth_of = |lab: &Lab| {
         let script = Script { lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-        write(&folder, &script, &phantom, [true; 2], None).expect("written");
+        write(&folder, &script, &phantom, [Some("ttyCARM"), Some("ttyROBOT")], None).expect("written");
         json(&folder, "truth.json")
     };
     let (before, now) = (truth_of(&unmoved), truth_of(&moved));

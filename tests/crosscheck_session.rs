@@ -22,7 +22,7 @@ fn write(path: &Path, value: &Value) {
 pub fn copy(lab: &Path, name: &str) -> PathBuf {
     let to = lab.with_file_name(name);
     std::fs::create_dir(&to).expect("new");
-    for file in ["beads.mrk.json", "carm.json", "robot.json", "scene.json", "session.json"] {
+    for file in ["beads.mrk.json", "landmarks.mrk.json", "carm.json", "robot.json", "scene.json", "session.json"] {
         std::fs::copy(lab.join(file), to.join(file)).expect("copied");
     }
     for linked in ["ct.nii.gz", "frames", "ttyCARM", "ttyROBOT"] {

@@ -124,9 +124,11 @@ fn a_session_that_was_asked_for_passes_its_check() {
     else {
         return;
     };
-    // C-arm and robot with their calibrations, frames, scene, beads; then what each frame says, no DICOM, OpenIGTLink, no console.
-    let answers =
-        ["ttyCARM", "carm.json", "ttyROBOT", "robot.json", "frames", "scene.json", "beads.mrk.json", "", "", "18944", ""];
+    // C-arm and robot with their calibrations, both in packets, frames, scene, beads; then what each frame says, no DICOM, OpenIGTLink, no
+    // console; landmarks.
+    let mut answers =
+        vec!["ttyCARM", "carm.json", "", "ttyROBOT", "robot.json", "packets", "frames", "scene.json", "beads.mrk.json"];
+    answers.extend(["", "", "18944", "", "landmarks", "landmarks.mrk.json"]);
     let asked = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
         .args(["session", "new", "asked.json", "--no-check"])
         .current_dir(&lab.kit)
@@ -142,7 +144,7 @@ fn a_session_that_was_asked_for_passes_its_check() {
     assert!(asked.status.success(), "{}", String::from_utf8_lossy(&asked.stderr));
     let written = json(&lab.kit.join("asked.json"));
     assert_eq!(written["carm"]["port"], "ttyCARM");
-    assert_eq!(written["igtl"]["port"], 18944);
+    assert_eq!((&written["igtl"]["port"], &written["landmarks"]), (&Value::from(18944), &Value::from("landmarks.mrk.json")));
     let check = |session: &str| {
         let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
             .args(["check", session, "--json", "--limit", "300"])
@@ -159,6 +161,34 @@ fn a_session_that_was_asked_for_passes_its_check() {
     for name in ["C-arm port", "robot port", "scene", "beads", "synthetic exposure"] {
         assert!(passed(name), "{name}: {found:#}");
     }
+}
+
+/// A script gives options, and reads what was written.
+#[test]
+fn a_session_is_made_without_a_person_and_printed_as_json() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).expect("written");
+    write("scene.json", r#"{"objects": [], "beam": {"mono_kev": 60}}"#);
+    write("room.json", "[[1,0,0,0],[0,1,0,0],[0,0,1,900],[0,0,0,1]]");
+    std::fs::create_dir(folder.path().join("frames")).expect("a folder");
+    let new = |further: &str| {
+        let words = format!(
+            "session new asked.json --no-check --json --carm none --robot none --beads none --scene scene.json {further}"
+        );
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.args(words.split(' ')).current_dir(folder.path()).stdin(std::process::Stdio::null());
+        command.output().expect("runs")
+    };
+    let refused = new("--frames frames --world-from-lps scene.json");
+    let words = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(1) && words.contains("--world-from-lps scene.json: "), "{words}");
+    assert!(!folder.path().join("asked.json").exists(), "nothing is written where an option will not do");
+    let made = new("--frames frames --sub-folders yes --world-from-lps room.json --domain log");
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let printed: Value = serde_json::from_slice(&made.stdout).expect("JSON alone");
+    assert_eq!((&printed["file"], &printed["session"]), (&Value::from("asked.json"), &json(&folder.path().join("asked.json"))));
+    assert_eq!(printed["session"]["frames"]["sub_folders"], true);
+    assert_eq!(printed["session"]["world_from_lps"][2][3], 900.0);
 }
 
 /// `check` read the newest frame with the domain of `frames`, whatever the session itself said.

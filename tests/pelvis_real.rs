@@ -4,14 +4,16 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
 use sidecarm::acquire::{Domain, Frame, read_frame};
-use sidecarm::beads::{Bead, BeadLayout};
-use sidecarm::compare::{CompareInput, compare};
+use sidecarm::beads::{Bead, BeadLayout, Landmark};
+use sidecarm::compare::{CompareInput, Compared, compare};
 use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid, View};
 use sidecarm::gpu::DeviceChoice;
-use sidecarm::pose::{Prior, Registration, register};
+use sidecarm::image::write_png_rgb;
+use sidecarm::pose::{Pose, Prior, Registration, register};
 use sidecarm::render::{Options, Quantity, Renderer};
+use sidecarm::report::{PairMarks, Standing, StripInput, score_words, strip};
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::{self, Scene, model::Matter};
+use sidecarm::scene::{self, Scene, model::Matter, model::Noise};
 
 const RADIUS_MM: f64 = 0.75;
 /// Around the left hip.
@@ -76,9 +78,21 @@ fn scene_json(ct: &Path, beads: &[DVec3], lps_from_base: &Rigid) -> String {
     .to_string()
 }
 
-#[test]
-fn a_noisy_pelvis_frame_gives_its_projection_back() {
-    let Some(folder) = data("ct-pelvis") else { return };
+/// A noisy frame of the pelvis, the pose of its beads, and the comparison with the DRR at that pose.
+struct Taken {
+    frame: Frame,
+    pose: Pose,
+    scene: Scene,
+    compared: Compared,
+    /// From where it was taken: by its pose, and really.
+    seen: View,
+    truth: View,
+    centre: DVec3,
+}
+
+/// The pelvis from two sides; `None` (said) where it is not.
+fn taken() -> Option<Vec<Taken>> {
+    let folder = data("ct-pelvis")?;
     let reporter = Reporter::silent();
     let ct = std::fs::canonicalize(folder.join("ct.nii.gz")).expect("exists");
     let here = Path::new("pelvis.json");
@@ -114,7 +128,7 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
         refused: None,
     };
     let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("CPU");
-    let mut cases = 0;
+    let mut found = Vec::new();
     for (orbital_deg, angulation_deg) in [(-20.0f64, 5.0f64), (25.0, -10.0)] {
         let joints = CarmJoints {
             orbital_rad: orbital_deg.to_radians(),
@@ -136,30 +150,66 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
                 intrinsics: Some(intrinsics),
                 pitch_mm: Some(0.388),
                 prior: Some(&prior),
+                landmarks: &[Landmark { name: "left hip".to_owned(), lps_mm: centre }],
                 ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
             },
             &frame,
         );
         assert!(pose.is_accepted(), "{orbital_deg}/{angulation_deg}: {:?}", pose.reason);
-        let found = pose.projection.expect("accepted");
-        let truth = view.projection();
-        let landmarks: Vec<DVec3> =
-            [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Z].map(|d| centre + 25.0 * d).to_vec();
-        let shift = |p: &DVec3| found.project(*p).0.distance(truth.project(*p).0);
-        let mean_px = landmarks.iter().map(shift).sum::<f64>() / landmarks.len() as f64;
-        println!("pelvis {orbital_deg}/{angulation_deg}: mean over landmarks {mean_px:.3} px, rms {:?} px", pose.rms_px);
-        assert!(mean_px < 0.1, "{mean_px} px");
-
+        let (intrinsics, camera_from_lps) = pose.intrinsics.zip(pose.camera_from_lps).expect("accepted");
+        let seen = View { size_px: view.size_px, intrinsics, camera_from_lps };
+        let mut quiet = full.with_view(seen);
+        quiet.model.noise = Noise::Off;
         let clean =
-            renderer.render(&scene, &Options { quantity: Quantity::LineIntegral, ..Options::default() }).expect("renders");
+            renderer.render(&quiet, &Options { quantity: Quantity::LineIntegral, ..Options::default() }).expect("renders");
         let mut input = CompareInput::new(&frame, &clean.pages[0]);
         input.valid = Some(&clean.valid);
-        input.view = Some(&view);
-        let zncc = compare(&input).expect("compares").comparison.scores.zncc.expect("scored");
-        assert!(zncc > 0.99, "{zncc}");
-        cases += 1;
+        (input.view, input.centre_lps_mm) = (Some(&seen), Some(centre));
+        let compared = compare(&input).expect("compares");
+        found.push(Taken { frame, pose, scene, compared, seen, truth: view, centre });
     }
-    assert_eq!(cases, 2);
+    Some(found)
+}
+
+#[test]
+fn a_noisy_pelvis_frame_gives_its_projection_back() {
+    let Some(taken) = taken() else { return };
+    assert_eq!(taken.len(), 2);
+    for (index, Taken { pose, compared, truth, centre, .. }) in taken.iter().enumerate() {
+        let (found, truth) = (pose.projection.expect("accepted"), truth.projection());
+        let landmarks = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Z].map(|d| *centre + 25.0 * d);
+        let shift = |p: &DVec3| found.project(*p).0.distance(truth.project(*p).0);
+        let mean_px = landmarks.iter().map(shift).sum::<f64>() / landmarks.len() as f64;
+        println!("pelvis, side {}: mean over landmarks {mean_px:.3} px, rms {:?} px", index + 1, pose.rms_px);
+        assert!(mean_px < 0.1, "{mean_px} px");
+        let zncc = compared.comparison.scores.zncc.expect("scored");
+        assert!(zncc > 0.99, "{zncc}");
+    }
+}
+
+/// The strip of the first side as a session would draw it: `docs/strip-pelvis.png`.
+#[test]
+#[ignore = "makes a picture: scripts/evaluate gallery runs it"]
+fn strip_of_the_pelvis() {
+    let Some(taken) = taken() else { return };
+    let Taken { frame, pose, scene, compared, seen, .. } = &taken[0];
+    let comparison = &compared.comparison;
+    let status = format!("rms {:.3} px ({:.3} mm)", pose.rms_px.expect("accepted"), pose.rms_mm.expect("accepted"));
+    let picture = strip(&StripInput {
+        acquired: frame,
+        pictures: Some(&*compared.pictures),
+        masks: None,
+        without: None,
+        marks: Some(&PairMarks::of(pose, None, Some(seen), Some(scene))),
+        standing: Standing::Accepted,
+        status: &status,
+        scores: &score_words(&comparison.scores, &comparison.null),
+        mm_per_px: comparison.mm_per_px,
+    });
+    let folder = std::env::var("SIDECARM_OUT").unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/docs").to_owned());
+    let path = Path::new(&folder).join("strip-pelvis.png");
+    write_png_rgb(&path, &picture).expect("written");
+    println!("written: {}", path.display());
 }
 
 #[test]

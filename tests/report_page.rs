@@ -47,7 +47,7 @@ fn tables(page: &str) -> [usize; 2] {
     let is_boxed = |at: usize| {
         let before = page[..at].trim_end();
         let after = page[at..].split_once("</table>").map_or("", |(_, after)| after.trim_start());
-        let has_box = ["scroll", "over"].iter().any(|class| before.ends_with(&format!("<div class=\"{class}\">")));
+        let has_box = ["scroll", "fold", "over"].iter().any(|class| before.ends_with(&format!("<div class=\"{class}\">")));
         has_box && after.starts_with("</div>")
     };
     let places: Vec<usize> = page.match_indices("<table").map(|(at, _)| at).collect();
@@ -65,13 +65,19 @@ fn says(style: &str, selector: &str, declaration: &str) -> bool {
     of_it.flat_map(|(_, body)| body.split(';')).any(|one| one.trim() == declaration)
 }
 
+/// The rules of the first block for windows of at most so many px.
+fn narrow<'a>(style: &'a str, px: &str) -> &'a str {
+    let block = style.split_once(&format!("@media(max-width:{px}px){{\n"));
+    block.and_then(|(_, rest)| rest.split_once("\n}")).map_or("", |(rules, _)| rules)
+}
+
 #[test]
 fn every_table_of_the_page_scrolls_in_a_box_of_its_own() {
     let page = page();
     // Exposures, links, provenance; of each exposure the scores and the beads.
     assert_eq!(tables(&page), [7, 0]);
     let style = style(&page);
-    for class in [".scroll", ".over"] {
+    for class in [".scroll", ".fold", ".over"] {
         assert!(says(style, class, "overflow-x:auto"), "{class}");
     }
     // A box in a grid is no wider than its column.
@@ -129,4 +135,39 @@ fn long_words_are_broken() {
     for selector in ["p", "summary", ".plain li", "td.name"] {
         assert!(says(style(&page), selector, "overflow-wrap:anywhere"), "{selector}");
     }
+}
+
+/// At 1000 px the table of exposures hid its columns of masks and times at its right end.
+#[test]
+fn in_a_narrow_window_the_many_columns_fold_and_each_cell_names_its_own() {
+    let page = page();
+    let table = page.split("<h2>Exposures</h2>").nth(1).and_then(|rest| rest.split("</table>").next()).expect("the table");
+    let text = |html: &str| html.replace("<br>", " ");
+    let headings: Vec<String> =
+        table.split("<th").skip(2).filter_map(|th| Some(text(th.split_once('>')?.1.split("</th>").next()?))).collect();
+    assert!(headings.len() >= 13, "{headings:?}");
+    let rows: Vec<Vec<&str>> = table
+        .split("<tr>")
+        .skip(2)
+        .map(|row| row.split(" data-of=\"").skip(1).filter_map(|cell| cell.split('"').next()).collect())
+        .collect();
+    assert_eq!(rows.len(), 2, "two exposures");
+    for (row, cells) in rows.iter().zip(table.split("<tr>").skip(2)) {
+        assert_eq!(row, &headings, "cells name their columns");
+        assert_eq!(cells.matches("<td").count(), headings.len(), "no cell is without a name");
+    }
+    // As wide as a window of 1000 px is, and wider ones in which the columns would not fit.
+    let rules = narrow(style(&page), "1180");
+    for (selector, declaration) in [
+        (".fold thead", "display:none"),
+        (".fold tr", "display:grid"),
+        (".fold tr", "grid-template-columns:repeat(auto-fill,minmax(108px,1fr))"),
+        (".fold td", "white-space:normal"),
+        (".fold td", "min-width:0"),
+        (".fold td", "overflow-wrap:anywhere"),
+        (".fold td::before", "content:attr(data-of)"),
+    ] {
+        assert!(says(rules, selector, declaration), "{selector}: {declaration}");
+    }
+    assert!(!says(rules, ".fold tr", "display:table-row") && narrow(style(&page), "640").is_empty(), "control");
 }

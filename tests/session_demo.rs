@@ -104,6 +104,14 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     // The truth is read after the session; the report was written before that, and never had it.
     assert!(report.contains("truth error"), "the report tells the error against the truth");
     assert!(!report.contains("Mockpatient") && !report.contains("MOCK-ID-4711"));
+    // A page of ten frames with its small pictures is no larger than a megabyte.
+    let held = report.matches("data:image/jpeg;base64,").count();
+    assert!(
+        held == pairs.len() && report.len() <= 100_000 * held,
+        "{} bytes for {held} pictures of {}",
+        report.len(),
+        pairs.len()
+    );
 
     let log = session.join("session.mcap");
     let replayed = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("replayed"))]);

@@ -100,7 +100,21 @@ fn session(stands: &str, names: [&str; EXPOSURES as usize], declare: impl FnOnce
     assert!(code == Some(0) && said.is_some() && !words.contains("lost: "), "{words}");
     let (pairs, poses) = (rows(&live.out), poses(&live));
     assert!(pairs.len() == EXPOSURES as usize && poses.len() == pairs.len(), "{} pairs: {words}", pairs.len());
+    each_is_said(&live.stderr(), &pairs);
     Some(Session { lab, live, pairs, poses, words })
+}
+
+/// `live --headless` said nothing of the frames that it accepted: each has its line on standard error, with its residual.
+fn each_is_said(stderr: &str, pairs: &[Value]) {
+    for pair in pairs {
+        let (number, name) = (pair["number"].as_u64().expect("a number"), pair["frame"].as_str().expect("a name"));
+        let rms_px = pair["rms_px"].as_f64().unwrap_or_else(|| panic!("accepted: {pair:#}"));
+        let line = |number: u64| {
+            let (label, outcome) = (format!("frame {number} ({name})"), format!(": accepted, rms {rms_px:.3} px"));
+            stderr.lines().any(|line| line.starts_with(&label) && line.contains(&outcome))
+        };
+        assert!(line(number) && !line(number + 1), "frame {number} ({name}), rms {rms_px:.3} px: {stderr}");
+    }
 }
 
 /// Sentences about where the specimen lies, in the order of the alphabet: other threads than the one that registers have their say as well.

@@ -99,6 +99,31 @@ fn naming<'a>(entries: &'a [LogEntry], word: &str) -> Vec<&'a str> {
     entries.iter().filter(|entry| holds(&entry.data, word)).map(|entry| &*entry.topic).collect()
 }
 
+/// A lab whose devices send datagrams can be rehearsed without them.
+#[test]
+fn the_mocked_devices_send_datagrams_as_well_and_are_heard() {
+    let ports = [free_udp_port(), free_udp_port()];
+    assert_ne!(ports[0], ports[1]);
+    let told = ports.map(|port| port.to_string()).join(",");
+    let args = ["--udp", &told, "--duration-s", "20", "--exposures", "1", "--faults", "none", "--await-all", "--idle-s", "300"];
+    let Some(lab) = Lab::start_without_ct(&args) else { return };
+    let session = lab.session("datagrams.json", |session| {
+        for (device, port) in ["carm", "robot"].into_iter().zip(ports) {
+            assert_eq!(session[device]["port"], format!("udp://127.0.0.1:{port}"), "as the kit has it");
+        }
+    });
+    let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    let both = eventually(HANG_S, || {
+        let heard = live.heard();
+        let of = |device| heard.packets.keys().filter(|(known, _)| *known == device).count();
+        (of(DeviceKind::Carm) > 20 && of(DeviceKind::Robot) > 20).then_some(())
+    });
+    assert!(both.is_some(), "{}", live.stderr());
+    assert!(!lab.kit.join("ttyCARM").exists() && !lab.kit.join("ttyROBOT").exists(), "no terminals beside them");
+    live.signalled(crate::live_lab::Signal::INT);
+    assert!(live.program.end(HANG_S).is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+}
+
 #[test]
 fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
     let Some(lab) = Lab::start_without_ct(&["--duration-s", "25", "--faults", "none"]) else { return };

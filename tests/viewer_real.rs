@@ -9,8 +9,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use serde_json::{Value, json};
-use sidecarm::image::{Image, write_png_rgb};
+use serde_json::Value;
+use sidecarm::image::Image;
 
 use crate::live_lab::{HANG_S, Lab, Live, Running, Signal, deliver, eventually, quiet_lab};
 use crate::log_lab::recorded;
@@ -73,7 +73,7 @@ impl Screen {
     }
 
     /// What is on the screen.
-    fn picture(&self) -> Image<[u8; 3]> {
+    pub fn picture(&self) -> Image<[u8; 3]> {
         let bytes = std::fs::read(self.folder.path().join("Xvfb_screen0")).expect("the screen's file");
         let [from, columns, rows, row_bytes] = Self::layout(&bytes);
         let pixels = (0..rows).flat_map(|row| bytes[from + row * row_bytes..][..4 * columns].chunks_exact(4));
@@ -99,7 +99,7 @@ impl Screen {
 }
 
 /// Replays `log` in a window on `screen`.
-fn window_of_replay(log: &Path, args: &[&str], screen: &Screen) -> Running {
+pub fn window_of_replay(log: &Path, args: &[&str], screen: &Screen) -> Running {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
     command.arg("replay").arg(log).arg("--window").args(args).env("DISPLAY", &screen.display);
     command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
@@ -178,64 +178,6 @@ pub fn newest(live: &Live, is_so: impl Fn(&Value) -> bool) -> Value {
         (is_complete && is_so(&pair)).then_some(pair)
     });
     found.unwrap_or_else(|| panic!("no such pair: {}", live.stderr()))
-}
-
-/// Ends a session with its report.
-fn end(mut live: Live) {
-    live.program.signal(Signal::TERM);
-    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
-}
-
-/// The pictures of the README: the window of a session, of its replay, of an exposure that telemetry contradicts, of a refused one, and a strip.
-#[test]
-#[ignore = "makes pictures: scripts/evaluate gallery runs it"]
-fn gallery() {
-    let screen = Screen::required();
-    let lab = || Lab::start(&["--duration-s", "40", "--faults", "none"]);
-    let folder =
-        std::env::var("SIDECARM_OUT").unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/docs/pictures").to_owned());
-    let folder = Path::new(&folder);
-    // What is written is shown a moment later.
-    let write = |name: &str| {
-        std::thread::sleep(Duration::from_secs(1));
-        write_png_rgb(&folder.join(name), &screen.picture()).expect("written");
-    };
-    let Some(first) = lab() else { return };
-    let live = Live::windowed(&first.kit.join("session.json"), &first.kit.with_file_name("session"), &screen.display);
-    let accepted = newest(&live, |pair| pair["status"] == "accepted" && pair["number"].as_u64() >= Some(5));
-    write("window-live.png");
-    // In the seventh exposure the collimator leaves too few beads: its pose is telemetry's.
-    newest(&live, |pair| pair["status"] == "refused");
-    let log = live.log.clone();
-    let strip = live.out.join(accepted["strip"].as_str().expect("its strip"));
-    end(live);
-    std::fs::copy(strip, folder.join("strip-demo.png")).expect("copied");
-
-    let out = first.kit.with_file_name("replayed");
-    let replay = window_of_replay(&log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
-    let replayed = eventually(HANG_S, || std::fs::metadata(out.join("report.html")).ok());
-    assert!(replayed.is_some(), "no report of the replay");
-    write("window-replay.png");
-    drop(replay);
-
-    // The session says that the specimen lies three centimetres beside where it does.
-    let Some(second) = lab() else { return };
-    let elsewhere = second.session("elsewhere.json", |session| {
-        let x_mm = session["world_from_lps"][0][3].as_f64().expect("a place");
-        session["world_from_lps"][0][3] = json!(x_mm + 30.0);
-    });
-    let live = Live::windowed(&elsewhere, &second.kit.with_file_name("elsewhere"), &screen.display);
-    newest(&live, |pair| pair["status"] == "accepted_telemetry_disagrees");
-    write("window-amber.png");
-    end(live);
-
-    // Nothing tells of the arm: where the beads do not tell, nothing does.
-    let Some(third) = lab() else { return };
-    let blind = third.session("blind.json", |session| drop(session.as_object_mut().expect("an object").remove("carm")));
-    let live = Live::windowed(&blind, &third.kit.with_file_name("blind"), &screen.display);
-    newest(&live, |pair| pair["status"] == "refused");
-    write("window-refused.png");
-    end(live);
 }
 
 /// Time that a process has used, in seconds.

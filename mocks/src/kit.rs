@@ -9,7 +9,7 @@ use crate::drawn;
 use crate::kinematics::{CarmGeometry, DRILL_LENGTH_MM, camera_from_lps, pieces, projection};
 use crate::lab::{Displacement, Exposure, Lab};
 use crate::matrix::{Mat4, dot, mul, point, rotation, translation};
-use crate::phantom::Phantom;
+use crate::phantom::{Bead, Phantom};
 use crate::script::Script;
 use crate::voxels::voxelise;
 
@@ -61,12 +61,18 @@ fn displaced(world_from_lps: &Mat4, by: &Displacement) -> Mat4 {
     mul(&mul(&translation(x, y, z), world_from_lps), &turned)
 }
 
-/// Writes the lab kit into `folder`: CT, beads, scene, calibrations, session and truth; C-arm and robot where `with` says so. A CT is taken
-/// from `drawn` where it was kept there.
+/// Writes the lab kit into `folder`: CT, beads, landmarks, scene, calibrations, session and truth; C-arm and robot where they have a port.
+/// A CT is taken from `drawn` where it was kept there.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with: [bool; 2], drawn: Option<&Path>) -> Result<(), MockError> {
+pub fn write(
+    folder: &Path,
+    script: &Script,
+    phantom: &Phantom,
+    ports: [Option<&str>; 2],
+    drawn: Option<&Path>,
+) -> Result<(), MockError> {
     let lab = script.lab;
     std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
     let ct = drawn::once(drawn, &format!("{phantom:?}"), || voxelise(phantom).packed())?;
@@ -75,17 +81,18 @@ pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with: [bool; 2],
     put(folder, "carm.json", &lab.carm)?;
     put(folder, "robot.json", &lab.robot)?;
     put(folder, "detector.json", &detector(lab))?;
-    put(folder, "beads.mrk.json", &beads(phantom))?;
+    put(folder, "beads.mrk.json", &markups(&phantom.beads, &format!("radius_mm={}", phantom.bead_radius_mm)))?;
+    put(folder, "landmarks.mrk.json", &markups(&phantom.landmarks, ""))?;
     let (k, scene) = (intrinsics(&arm(lab)?), scene(lab, phantom));
     put(folder, "k.json", &k)?;
     put(folder, "scene.json", &scene)?;
     put(folder, "scene-001.json", &of_first_frame(lab, &arm(lab)?, scene, &k))?;
-    let [with_carm, with_robot] = with;
-    let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
-    let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
+    let [carm, robot] = ports;
+    let carm = carm.map(|port| json!({"port": port, "baud": 921_600, "calibration": "carm.json"}));
+    let robot = robot.map(|port| json!({"port": port, "baud": 921_600, "model": "robot.json"}));
     let session = json!({
         "carm": carm, "robot": robot, "frames": {"folder": "frames"}, "scene": "scene.json", "beads": "beads.mrk.json",
-        "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"
+        "landmarks": "landmarks.mrk.json", "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"
     });
     put(folder, "session.json", &session)?;
     put(folder, "truth.json", &truth(script, phantom)?)
@@ -96,11 +103,12 @@ fn put(folder: &Path, name: &str, value: &Value) -> Result<(), MockError> {
     std::fs::write(&path, format!("{value:#}\n")).map_err(MockError::io(path.display()))
 }
 
-fn beads(phantom: &Phantom) -> Value {
-    let point = |(index, bead): (usize, &crate::phantom::Bead)| {
+/// A list of points as 3D Slicer has it.
+fn markups(points: &[Bead], description: &str) -> Value {
+    let point = |(index, point): (usize, &Bead)| {
         json!({
-            "id": (index + 1).to_string(), "label": bead.name, "description": format!("radius_mm={}", phantom.bead_radius_mm),
-            "associatedNodeID": "", "position": bead.lps_mm, "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
+            "id": (index + 1).to_string(), "label": point.name, "description": description,
+            "associatedNodeID": "", "position": point.lps_mm, "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
             "selected": true, "locked": false, "visibility": true, "positionStatus": "defined"
         })
     };
@@ -108,7 +116,7 @@ fn beads(phantom: &Phantom) -> Value {
         "@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#",
         "markups": [{
             "type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": false,
-            "labelFormat": "%N-%d", "controlPoints": phantom.beads.iter().enumerate().map(point).collect::<Vec<_>>(), "measurements": []
+            "labelFormat": "%N-%d", "controlPoints": points.iter().enumerate().map(point).collect::<Vec<_>>(), "measurements": []
         }]
     })
 }
@@ -167,7 +175,7 @@ fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
         let (_, end) = pieces(&exposure.control_deg);
         let tip = point(&mul(&phantom.lps_from_base, &end), [0.0, 0.0, DRILL_LENGTH_MM]);
         let [left, top, right, bottom] = exposure.field_mm.unwrap_or(lab.open_field_mm());
-        let shown = |bead: &crate::phantom::Bead| {
+        let shown = |bead: &Bead| {
             let [x, y, depth] = projection.map(|row| dot([row[0], row[1], row[2]], bead.lps_mm) + row[3]);
             let [u, v] = [x / depth, y / depth];
             let [dx, dy] = [u - arm.geometry.principal_px[0], v - arm.geometry.principal_px[1]].map(|px| px * arm.pitch_mm);
@@ -181,9 +189,7 @@ fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
         })
     };
     let frames: Vec<Value> = lab.exposures.iter().take(script.count()).enumerate().map(frame).collect();
-    let named = |points: &[crate::phantom::Bead]| -> Vec<Value> {
-        points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect()
-    };
+    let named = |points: &[Bead]| -> Vec<Value> { points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect() };
     Ok(json!({
         "frames": frames, "landmarks": named(&phantom.landmarks), "beads": named(&phantom.beads), "air_value": lab.air_value,
         "world_from_lps": true_world_from_lps(lab, 0)

@@ -116,6 +116,9 @@ struct Args {
     /// No exposure counter on the wire and in the frames.
     #[arg(long)]
     no_counter: bool,
+    /// Datagrams to these two ports of this machine, instead of pseudo-terminals: as a robot and an arm on a network send them.
+    #[arg(long, value_delimiter = ',', value_name = "CARM,ROBOT", value_parser = clap::value_parser!(u16).range(1..))]
+    udp: Vec<u16>,
     /// No C-arm line.
     #[arg(long)]
     no_carm: bool,
@@ -179,6 +182,10 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--idle-rate", idle_rate, 0.01, 1000.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
+    if !matches!(args.udp[..], [] | [_, _]) {
+        let detail = "expected two ports, the C-arm's and the robot's, as in --udp 5005,5006".to_owned();
+        return Err(MockError::Data { what: "--udp".to_owned(), detail });
+    }
     let mut lab = Lab::embedded()?.at_stands(&args.stands)?.repeated(args.repeat);
     if let Some(exposure) = args.specimen_moves {
         within("--specimen-moves", exposure as f64, 1.0, lab.exposures.len() as f64)?;
@@ -205,7 +212,11 @@ fn run(args: &Args) -> Result<(), MockError> {
     let phantom = Phantom::embedded()?;
     refuse_old_frames(&args.out)?;
     let script = Script { lab: &lab, duration_s: args.duration_s, exposures: args.exposures, counter: !args.no_counter };
-    write(&args.out, &script, &phantom, [!args.no_carm, !args.no_robot], args.drawn.as_deref())?;
+    let port = |wanted: bool, number: usize, name: &str| {
+        wanted.then(|| args.udp.get(number).map_or_else(|| name.to_owned(), |port| format!("udp://127.0.0.1:{port}")))
+    };
+    let (carm, robot) = (port(!args.no_carm, 0, "ttyCARM"), port(!args.no_robot, 1, "ttyROBOT"));
+    write(&args.out, &script, &phantom, [carm.as_deref(), robot.as_deref()], args.drawn.as_deref())?;
     let frames = draw_frames(args, &script, &phantom)?;
     let session = args.out.join("session.json");
     if args.kit_only {
@@ -216,16 +227,14 @@ fn run(args: &Args) -> Result<(), MockError> {
         return Ok(());
     }
     let mut lines = Vec::new();
-    let mut open = |wanted: bool, device: Device, name: &str| -> Result<Option<PathBuf>, MockError> {
-        if !wanted {
-            return Ok(None);
-        }
-        let path = args.out.join(name);
-        lines.push((device, Line::open(&path)?));
+    let mut open = |name: Option<String>, device: Device, number: usize| -> Result<Option<PathBuf>, MockError> {
+        let Some(name) = name else { return Ok(None) };
+        let line = args.udp.get(number).map_or_else(|| Line::open(&args.out.join(name)), |port| Line::to_port(*port))?;
+        let path = line.path().to_owned();
+        lines.push((device, line));
         Ok(Some(path))
     };
-    let carm = open(!args.no_carm, Device::Carm, "ttyCARM")?;
-    let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
+    let (carm, robot) = (open(carm, Device::Carm, 0)?, open(robot, Device::Robot, 1)?);
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
     let performance = Performance {
         await_reader_s: args.await_reader_s,

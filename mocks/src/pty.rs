@@ -1,5 +1,6 @@
-//! A device's end of a serial line: a pseudo-terminal behind a stable symbolic link, which can be unplugged.
+//! A device's end of a line, which can be unplugged: a pseudo-terminal behind a stable symbolic link, or datagrams to a port of this machine.
 
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
@@ -8,20 +9,27 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use crate::MockError;
 
-/// A serial line that the mock writes and somebody else reads at [`Line::path`].
+/// A line that the mock writes and somebody else reads at [`Line::path`].
 #[derive(Debug)]
 pub struct Line {
     link: PathBuf,
+    /// Where datagrams go; none of a serial line.
+    address: Option<SocketAddr>,
+    /// From where they come, once and again: 0 until the system has chosen.
+    own_port: u16,
     plugged: Option<Plugged>,
     /// Bytes that the system's buffer did not take, because nobody read.
     pub overrun_bytes: u64,
 }
 
 #[derive(Debug)]
-struct Plugged {
-    master: OwnedFd,
-    /// Held open so that the line does not hang up between readers.
-    slave: OwnedFd,
+enum Plugged {
+    Terminal {
+        master: OwnedFd,
+        /// Held open so that the line does not hang up between readers.
+        slave: OwnedFd,
+    },
+    Socket(UdpSocket),
 }
 
 impl Line {
@@ -30,12 +38,24 @@ impl Line {
     /// # Errors
     /// When the system has no pseudo-terminal left or the link cannot be made.
     pub fn open(link: &Path) -> Result<Self, MockError> {
-        let mut line = Self { link: link.to_owned(), plugged: None, overrun_bytes: 0 };
+        let mut line = Self { link: link.to_owned(), address: None, own_port: 0, plugged: None, overrun_bytes: 0 };
         line.plug()?;
         Ok(line)
     }
 
-    /// The stable path that a reader opens.
+    /// Sends to `port` of this machine, a datagram for each packet. One that nobody hears is lost, and nobody knows.
+    ///
+    /// # Errors
+    /// When the system has no socket.
+    pub fn to_port(port: u16) -> Result<Self, MockError> {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        let link = PathBuf::from(format!("udp://{address}"));
+        let mut line = Self { link, address: Some(address), own_port: 0, plugged: None, overrun_bytes: 0 };
+        line.plug()?;
+        Ok(line)
+    }
+
+    /// The stable path, or the address, that a reader opens.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.link
@@ -47,11 +67,19 @@ impl Line {
         self.plugged.is_some()
     }
 
-    /// Puts a new pseudo-terminal behind the link.
+    /// Puts a new pseudo-terminal behind the link, or sends datagrams again.
     ///
     /// # Errors
-    /// As [`Line::open`].
+    /// As [`Line::open`] and [`Line::to_port`].
     pub fn plug(&mut self) -> Result<(), MockError> {
+        if self.address.is_some() {
+            let failed = || MockError::io(self.link.display());
+            let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, self.own_port)).map_err(failed())?;
+            socket.set_nonblocking(true).map_err(failed())?;
+            self.own_port = socket.local_addr().map_err(failed())?.port();
+            self.plugged = Some(Plugged::Socket(socket));
+            return Ok(());
+        }
         let failed = |errno: rustix::io::Errno| MockError::Io { what: "pseudo-terminal".to_owned(), source: errno.into() };
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).map_err(failed)?;
         grantpt(&master).map_err(failed)?;
@@ -67,41 +95,59 @@ impl Line {
         rustix::fs::fcntl_setfl(&master, status | rustix::fs::OFlags::NONBLOCK).map_err(failed)?;
         let _ = std::fs::remove_file(&self.link);
         std::os::unix::fs::symlink(&path, &self.link).map_err(MockError::io(self.link.display()))?;
-        self.plugged = Some(Plugged { master, slave });
+        self.plugged = Some(Plugged::Terminal { master, slave });
         Ok(())
     }
 
-    /// Whether everything that was written has been read.
+    /// Whether everything that was written has been read; of datagrams, whether somebody listens.
     ///
     /// # Errors
     /// When the system does not say.
     pub fn is_read(&self) -> Result<bool, MockError> {
-        let Some(plugged) = &self.plugged else { return Ok(false) };
         let failed = |errno: rustix::io::Errno| MockError::Io { what: self.link.display().to_string(), source: errno.into() };
-        Ok(rustix::io::ioctl_fionread(&plugged.slave).map_err(failed)? == 0)
+        match &self.plugged {
+            None => Ok(false),
+            Some(Plugged::Terminal { slave, .. }) => Ok(rustix::io::ioctl_fionread(slave).map_err(failed)? == 0),
+            Some(Plugged::Socket(_)) => Ok(self.address.is_some_and(|address| is_heard(address.port()))),
+        }
     }
 
-    /// Pulls the plug: the link goes, readers get an end of file or an error, and what they had not read is gone.
+    /// Pulls the plug: the link goes, readers get an end of file or an error, and what they had not read is gone. Of datagrams no more come.
     pub fn unplug(&mut self) {
-        let _ = std::fs::remove_file(&self.link);
+        if self.address.is_none() {
+            let _ = std::fs::remove_file(&self.link);
+        }
         self.plugged = None;
     }
 
     /// Writes without waiting; what the system's buffer does not take is lost and counted.
     pub fn write(&mut self, bytes: &[u8]) {
-        let Some(plugged) = &self.plugged else { return };
         let mut rest = bytes;
-        while !rest.is_empty() {
-            match rustix::io::write(&plugged.master, rest) {
-                Ok(count) if count > 0 => rest = &rest[count..],
-                Err(rustix::io::Errno::INTR) => {}
-                _ => {
-                    self.overrun_bytes += rest.len() as u64;
-                    return;
+        match &self.plugged {
+            None => return,
+            Some(Plugged::Socket(socket)) => {
+                let sent = self.address.is_some_and(|address| socket.send_to(bytes, address).is_ok());
+                rest = if sent { &[] } else { bytes };
+            }
+            Some(Plugged::Terminal { master, .. }) => {
+                while !rest.is_empty() {
+                    match rustix::io::write(master, rest) {
+                        Ok(count) if count > 0 => rest = &rest[count..],
+                        Err(rustix::io::Errno::INTR) => {}
+                        _ => break,
+                    }
                 }
             }
         }
+        self.overrun_bytes += rest.len() as u64;
     }
+}
+
+/// Whether a program of this machine listens to datagrams on `port`, by the system's own list: to try the port would take it away from who is
+/// about to listen.
+fn is_heard(port: u16) -> bool {
+    let of_line = |line: &str| u16::from_str_radix(line.split_whitespace().nth(1)?.rsplit_once(':')?.1, 16).ok();
+    std::fs::read_to_string("/proc/net/udp").is_ok_and(|list| list.lines().filter_map(of_line).any(|known| known == port))
 }
 
 impl Drop for Line {

@@ -22,13 +22,22 @@ fn the_kit_is_whole_and_its_files_agree() {
     let folder = folder("kit");
     let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
     let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-    write(&folder, &script, &phantom, [true, false], None).expect("written");
+    write(&folder, &script, &phantom, [Some("udp://127.0.0.1:5005"), None], None).expect("written");
     let session = json(&folder, "session.json");
     assert!(session["robot"].is_null(), "no robot was asked for");
+    assert_eq!(session["carm"]["port"], "udp://127.0.0.1:5005");
     for name in [&session["carm"]["calibration"], &session["scene"], &session["beads"]] {
         json(&folder, name.as_str().expect("a file"));
     }
     let truth = json(&folder, "truth.json");
+    // The session's landmarks are those at which the truth is judged.
+    let landmarks = json(&folder, session["landmarks"].as_str().expect("a file"));
+    let stated = landmarks["markups"][0]["controlPoints"].as_array().expect("points");
+    let known = truth["landmarks"].as_array().expect("points");
+    assert!(known.len() >= 3 && stated.len() == known.len());
+    for (stated, known) in stated.iter().zip(known) {
+        assert_eq!((&stated["label"], &stated["position"]), (&known["name"], &known["lps_mm"]));
+    }
     let frames = truth["frames"].as_array().expect("frames");
     assert!(frames.len() >= 6);
     let seen: Vec<usize> = frames
@@ -113,7 +122,7 @@ fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
     let folder = folder("moved");
     let truth_of = |lab: &Lab| {
         let script = Script { lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-        write(&folder, &script, &phantom, [true; 2], None).expect("written");
+        write(&folder, &script, &phantom, [Some("ttyCARM"), Some("ttyROBOT")], None).expect("written");
         json(&folder, "truth.json")
     };
     let (before, now) = (truth_of(&unmoved), truth_of(&moved));

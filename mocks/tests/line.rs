@@ -83,3 +83,34 @@ fn a_line_that_nobody_reads_never_blocks_and_counts_what_it_loses() {
     assert_eq!(read_available(&mut port).len() as u64 + lost, 200_000);
     std::fs::remove_dir_all(folder).expect("removed");
 }
+
+#[test]
+fn datagrams_come_one_a_packet_until_the_plug_is_pulled() {
+    let free = std::net::UdpSocket::bind("127.0.0.1:0").expect("a free port");
+    let port = free.local_addr().expect("an address").port();
+    let mut channel = Channel::new(Line::to_port(port).expect("a socket"));
+    assert_eq!(channel.line.path().to_str(), Some(format!("udp://127.0.0.1:{port}").as_str()));
+    assert!(
+        channel.line.is_plugged() && channel.line.is_read().expect("known") == cfg!(target_os = "linux"),
+        "it is listened to"
+    );
+    free.set_read_timeout(Some(std::time::Duration::from_secs(10))).expect("a limit");
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    let hear_one = || {
+        let mut buffer = [0; 2048];
+        free.recv(&mut buffer).ok().map(|count| buffer[..count].to_vec())
+    };
+    for sequence in 0..3 {
+        channel.send(&packet(sequence), 0.01 * f64::from(sequence), &mut random).expect("sent");
+        assert_eq!(hear_one().as_deref(), Some(&packet(sequence)[..]), "{sequence}");
+    }
+    channel.line.unplug();
+    assert!(!channel.line.is_plugged() && !channel.line.is_read().expect("known"));
+    channel.send(&packet(3), 0.03, &mut random).expect("nobody hears it");
+    channel.line.plug().expect("a socket");
+    channel.send(&packet(4), 0.04, &mut random).expect("sent");
+    assert_eq!(hear_one().as_deref(), Some(&packet(4)[..]), "the third one never came");
+    drop(free);
+    assert!(!channel.line.is_read().expect("known"), "nobody listens any more");
+    channel.send(&packet(5), 0.05, &mut random).expect("nobody hears it");
+}

@@ -183,7 +183,7 @@ fn plot(material: &Material, rows: &[Row]) -> Result<Plot, PhysicsError> {
             line("Rayleigh", |row| row.rayleigh_cm2_per_g),
             asked,
         ],
-        marks: Vec::new(),
+        ..Plot::default()
     })
 }
 

@@ -64,6 +64,8 @@ pub mod replay;
 pub mod scatter;
 mod scattered;
 mod session_ask;
+mod session_device;
+mod session_further;
 pub mod session_new;
 mod shot_files;
 mod signals;

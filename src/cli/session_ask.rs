@@ -1,9 +1,16 @@
 //! Questions to a person, and why there is no session file.
 
 use std::io::{BufRead, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
+
+use crate::foreign::read_small;
 use crate::image::ImageFileError;
+use crate::json::parse_json;
+
+/// What stands for a thing that the lab does not have.
+pub(super) const NONE: &str = "none";
 
 /// Why there is no session file.
 #[derive(Debug, thiserror::Error)]
@@ -91,4 +98,10 @@ impl<R: BufRead, W: Write> Asker<R, W> {
             }
         }
     }
+}
+
+/// One of our JSON files, or what is wrong with it.
+pub(super) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
+    let bytes = read_small(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    parse_json(&bytes).map_err(|fault| format!("{}: {fault}", path.display()))
 }

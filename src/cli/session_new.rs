@@ -3,53 +3,22 @@
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
-use serde::de::DeserializeOwned;
-
 use super::check::{self, CheckArgs};
 use super::devices::list_ports;
 pub use super::session_ask::SessionNewError;
-use super::session_ask::{Asker, Question};
-use crate::acquire::Domain;
+use super::session_ask::{Asker, NONE, Question, read};
+use super::session_device::{CARM, Line, ROBOT, line, place_of};
+use super::session_further::{Further, FurtherArgs};
 use crate::beads::parse_markups;
 use crate::foreign::read_small;
-use crate::geometry::{CarmCalibration, ConsoleGeometry, RobotModel};
 use crate::image::write_atomically;
-use crate::json::parse_json;
 use crate::reporter::Reporter;
 use crate::scene::built_in;
 use crate::scene::file::SceneFile;
 use crate::session::file::{CarmLine, FrameSource, RobotLine, SessionFile};
-use crate::session::servers::{DicomServer, IgtlServer};
-use crate::telemetry::PortAddress;
 
-/// What stands for a thing that the lab does not have.
-const NONE: &str = "none";
 /// Bits per second, where nobody says otherwise.
 const BAUD: u32 = 921_600;
-
-/// What sends telemetry.
-struct Device {
-    name: &'static str,
-    /// What says its port, and its calibration, without being asked.
-    options: [&'static str; 2],
-    /// The calibration that comes with the program, and what it is called beside a session.
-    nominal: (&'static str, &'static str),
-    /// What is wrong with a calibration of its own.
-    looked: fn(&Path) -> Result<(), String>,
-}
-
-const CARM: Device = Device {
-    name: "C-arm",
-    options: ["--carm", "--carm-calibration"],
-    nominal: ("calibration/carm/nominal-mobile.json", "carm-nominal.json"),
-    looked: |path| read::<CarmCalibration>(path).map(drop),
-};
-const ROBOT: Device = Device {
-    name: "robot",
-    options: ["--robot", "--robot-model"],
-    nominal: ("calibration/robot/cdm.json", "robot-nominal.json"),
-    looked: |path| read::<RobotModel>(path)?.check().map_err(|error| error.to_string()),
-};
 
 /// Sessions.
 #[derive(Clone, Debug, clap::Args)]
@@ -70,8 +39,9 @@ enum SessionOf {
 #[command(after_help = "Examples:
   sidecarm session new session.json
   sidecarm session new session.json --carm /dev/ttyUSB0 --robot none --frames /mnt/console/export --scene scene.json --beads beads.mrk.json
+  sidecarm session new session.json --json --carm none --robot none --frames frames --scene scene.json --beads none < /dev/null
 
-`none` is an answer where the lab has no such thing. Exit code: that of `sidecarm check`.")]
+`none` is an answer where the lab has no such thing, and no answer takes what stands in brackets. Exit code: that of `sidecarm check`.")]
 pub struct NewArgs {
     /// The session file; none may be there yet
     session: PathBuf,
@@ -84,9 +54,9 @@ pub struct NewArgs {
     /// Its calibration, or nominal: the one that comes with the program is written beside the session
     #[arg(long, value_name = "FILE")]
     carm_calibration: Option<String>,
-    /// How its lines are read, where it does not speak Sidecarm's packets
+    /// How its lines are read, or packets where it speaks Sidecarm's
     #[arg(long, value_name = "FILE")]
-    carm_adapter: Option<PathBuf>,
+    carm_adapter: Option<String>,
     /// Port of the robot's telemetry (as --carm), or none
     #[arg(long, value_name = "PORT")]
     robot: Option<String>,
@@ -96,9 +66,9 @@ pub struct NewArgs {
     /// Its model, or nominal
     #[arg(long, value_name = "FILE")]
     robot_model: Option<String>,
-    /// How its lines are read, where it does not speak Sidecarm's packets
+    /// How its lines are read, or packets
     #[arg(long, value_name = "FILE")]
-    robot_adapter: Option<PathBuf>,
+    robot_adapter: Option<String>,
     /// Folder in which frames appear
     #[arg(long, value_name = "DIR")]
     frames: Option<String>,
@@ -108,24 +78,17 @@ pub struct NewArgs {
     /// Beads of the specimen (3D Slicer markups or .fcsv), or none
     #[arg(long, value_name = "FILE")]
     beads: Option<String>,
-    /// What the frames' values mean: linear, log, display, or file for what each file says of itself
-    #[arg(long, value_name = "DOMAIN")]
-    domain: Option<String>,
-    /// TCP port on which frames may be sent to this machine over DICOM, or none
-    #[arg(long, value_name = "PORT")]
-    dicom: Option<String>,
-    /// TCP port on which 3D Slicer and others may listen over OpenIGTLink, or none
-    #[arg(long, value_name = "PORT")]
-    igtl: Option<String>,
-    /// What the console does to the panel's picture: degrees clockwise, a file with the keys of "console", or none
-    #[arg(long, value_name = "DEG|FILE")]
-    console: Option<String>,
+    #[command(flatten)]
+    further: FurtherArgs,
     /// Folder of the results [default: out, beside the session]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Do not check what was written
     #[arg(long)]
     no_check: bool,
+    /// Print JSON: what `check --json` finds, or without a check the file's name and content
+    #[arg(long)]
+    json: bool,
 }
 
 /// Writes a session file and checks it; the exit code of the check.
@@ -144,11 +107,15 @@ pub fn run(args: &SessionArgs, reporter: &Reporter) -> Result<u8, SessionNewErro
         write_atomically(path, |file| file.write_all(text.as_bytes()))?;
     }
     write_atomically(&args.session, |file| Ok(serde_json::to_writer_pretty(file, &session)?))?;
-    println!("{}", args.session.display());
+    match (args.json, args.no_check) {
+        (false, _) => println!("{}", args.session.display()),
+        (true, true) => println!("{}", serde_json::json!({ "file": args.session, "session": session })),
+        (true, false) => {}
+    }
     if args.no_check {
         return Ok(0);
     }
-    let check = CheckArgs { session: args.session.clone(), out: args.out.clone(), limit: check::LIMIT_S, json: false };
+    let check = CheckArgs { session: args.session.clone(), out: args.out.clone(), limit: check::LIMIT_S, json: args.json };
     Ok(check::run(&check, reporter))
 }
 
@@ -167,15 +134,16 @@ fn answered<R: BufRead, W: Write>(
         // A session that is moved with its files still finds them.
         whole.strip_prefix(&folder).map(Path::to_owned).unwrap_or(whole)
     };
-    let carm = line(asker, &CARM, [&args.carm, &args.carm_calibration], ports.first().cloned(), &named)?;
+    let given = [&args.carm, &args.carm_calibration, &args.carm_adapter];
+    let carm = line(asker, &CARM, given, ports.first().cloned(), &named)?;
     // A port that the C-arm does not have is the robot's, whatever was offered before.
-    let taken = carm.as_ref().map(|(port, _)| place_of(port));
+    let taken = carm.as_ref().map(|line| place_of(&line.port));
     let free = ports.into_iter().find(|port| taken != Some(place_of(Path::new(port))));
-    let robot = line(asker, &ROBOT, [&args.robot, &args.robot_model], free, &named)?;
+    let robot = line(asker, &ROBOT, [&args.robot, &args.robot_model, &args.robot_adapter], free, &named)?;
     let nominal = [(&carm, &CARM), (&robot, &ROBOT)].into_iter().filter_map(|(line, device)| {
-        let (_, file) = line.as_ref()?;
         let (built, beside) = device.nominal;
-        (*file == Path::new(beside)).then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
+        let is_nominal = line.as_ref()?.calibration == Path::new(beside);
+        is_nominal.then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
     });
     let files = nominal.filter(|(path, _)| !path.exists()).collect();
     let frames = Question {
@@ -208,128 +176,55 @@ fn answered<R: BufRead, W: Write>(
         parse_markups(path, &content).map_err(|error| error.to_string())?;
         Ok(Some(named(path)))
     })?;
-    let further = Further::ask(args, asker)?;
+    let further = Further::ask(&args.further, asker, &named)?;
     let session = SessionFile {
-        carm: carm.map(|(port, calibration)| CarmLine {
+        carm: carm.map(|Line { port, calibration, adapter }| CarmLine {
             port,
             baud: args.carm_baud,
             calibration,
-            adapter: args.carm_adapter.as_deref().map(named),
+            adapter,
             fuse: false,
         }),
-        robot: robot.map(|(port, model)| RobotLine {
+        robot: robot.map(|Line { port, calibration, adapter }| RobotLine {
             port,
             baud: args.robot_baud,
-            model,
-            adapter: args.robot_adapter.as_deref().map(named),
+            model: calibration,
+            adapter,
         }),
-        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom, video: None },
+        frames: FrameSource {
+            folder: frames,
+            sub_folders: further.sub_folders,
+            domain: None,
+            dicom: further.dicom,
+            video: further.video,
+        },
         scene,
         beads,
-        world_from_lps: None,
+        world_from_lps: further.world_from_lps,
         world_from_tracker: None,
         out: Some(args.out.as_deref().map_or_else(|| PathBuf::from("out"), named)),
         domain: further.domain,
         tone: None,
         air_level: None,
         bead_radius_mm: None,
-        landmarks: None,
+        landmarks: further.landmarks,
         console: further.console,
-        detector: None,
-        intensifier: None,
+        detector: further.detector,
+        intensifier: further.intensifier,
         tags: None,
         igtl: further.igtl,
     };
     Ok((session, files))
 }
 
-/// What few labs need to say; no answer is an answer.
-struct Further {
-    domain: Option<Domain>,
-    dicom: Option<DicomServer>,
-    igtl: Option<IgtlServer>,
-    console: Option<ConsoleGeometry>,
-}
-
-impl Further {
-    fn ask<R: BufRead, W: Write>(args: &NewArgs, asker: &mut Asker<R, W>) -> Result<Self, SessionNewError> {
-        let question =
-            |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
-        let words = "Values of the frames: linear, log or display, or file: what each says of itself";
-        let domain = asker.ask(&question("--domain", &args.domain, words, "file"), &|answer| match answer {
-            "file" => Ok(None),
-            word => word.parse().map(Some),
-        })?;
-        let port = |answer: &str| match answer {
-            NONE => Ok(None),
-            number => number.parse().map(Some).map_err(|_| format!("'{number}' is no TCP port, 1 to 65535")),
-        };
-        let words = "TCP port on which frames may be sent here over DICOM (11112), or none";
-        let dicom: Option<u16> = asker.ask(&question("--dicom", &args.dicom, words, NONE), &port)?;
-        let words = "TCP port for 3D Slicer over OpenIGTLink (18944), or none";
-        let igtl: Option<u16> = asker.ask(&question("--igtl", &args.igtl, words, NONE), &port)?;
-        let words = "The console turns the picture: degrees clockwise, a file with the keys of \"console\", or none";
-        let console = asker.ask(&question("--console", &args.console, words, NONE), &|answer| {
-            let geometry = match (answer, answer.parse::<f64>()) {
-                (NONE, _) => return Ok(None),
-                (_, Ok(rotation_deg)) => ConsoleGeometry { rotation_deg, ..ConsoleGeometry::default() },
-                (path, Err(_)) => read(Path::new(path))?,
-            };
-            geometry.check().map(|()| Some(geometry)).map_err(|error| error.to_string())
-        })?;
-        Ok(Self { domain, dicom: dicom.map(DicomServer::on_port), igtl: igtl.map(IgtlServer::on_port), console })
-    }
-}
-
-/// Where a port really is: an adapter has several names.
-fn place_of(port: &Path) -> PathBuf {
-    std::fs::canonicalize(port).unwrap_or_else(|_| port.to_owned())
-}
-
-/// Port and calibration of a device, if the lab has it.
-fn line<R: BufRead, W: Write>(
-    asker: &mut Asker<R, W>,
-    device: &Device,
-    [port, file]: [&Option<String>; 2],
-    seen: Option<String>,
-    named: &dyn Fn(&Path) -> PathBuf,
-) -> Result<Option<(PathBuf, PathBuf)>, SessionNewError> {
-    let words = format!("Port of the {} (a serial port, udp://…, file:…), or {NONE}", device.name);
-    let default = Some(seen.as_deref().unwrap_or(NONE));
-    let port = Question { option: device.options[0], given: port, words: &words, default, may_be_silent: false };
-    let port = asker.ask(&port, &|answer| {
-        let path = Path::new(answer);
-        if path.is_file() || path.is_dir() {
-            return Err(format!("'{answer}' is no serial port; a file that a device writes is named file:{answer}"));
-        }
-        // A port beside the session, as mocks have it, and a file that a device writes are found from wherever the session is started.
-        Ok((answer != NONE).then(|| match PortAddress::of(path) {
-            Ok(PortAddress::File(file)) => PathBuf::from(format!("file:{}", named(&file).display())),
-            _ if path.exists() => named(path),
-            _ => path.to_owned(),
-        }))
-    })?;
-    let Some(port) = port else {
-        return Ok(None);
-    };
-    let words = format!("Calibration of the {}, or nominal", device.name);
-    let file = Question { option: device.options[1], given: file, words: &words, default: Some("nominal"), may_be_silent: false };
-    let file = asker.ask(&file, &|answer| match answer {
-        "nominal" => Ok(PathBuf::from(device.nominal.1)),
-        path => (device.looked)(Path::new(path)).map(|()| named(Path::new(path))),
-    })?;
-    Ok(Some((port, file)))
-}
-
-/// One of our JSON files, or what is wrong with it.
-fn read<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
-    let bytes = read_small(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    parse_json(&bytes).map_err(|fault| format!("{}: {fault}", path.display()))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::acquire::Domain;
+    use crate::cli::session_device::PACKETS;
+    use crate::geometry::{CarmCalibration, RobotModel};
+    use crate::json::parse_json;
+    use crate::session::servers::IgtlServer;
 
     fn args(session: &Path) -> NewArgs {
         NewArgs {
@@ -345,12 +240,10 @@ mod tests {
             frames: None,
             scene: None,
             beads: None,
-            domain: None,
-            dicom: None,
-            igtl: None,
-            console: None,
+            further: FurtherArgs::default(),
             out: None,
             no_check: true,
+            json: false,
         }
     }
 
@@ -361,8 +254,10 @@ mod tests {
         std::fs::create_dir(at("frames")).expect("a folder");
         std::fs::write(at("scene.json"), r#"{"objects": [], "beam": {"mono_kev": 60}}"#).expect("written");
         std::fs::write(at("wrong.json"), r#"{"objects": [], "beam": {"mono_keV": 60}}"#).expect("written");
-        // The port that is there, no calibration of that name, the nominal one; no robot; a folder that is none; a scene with a wrong key; no beads.
-        let mut lines = vec!["", "nowhere.json", "nominal", NONE, "nothing"];
+        // The port that is there, no calibration of that name, the nominal one, the robot's lines, then packets; no robot; a folder that is none; a
+        // scene with a wrong key; no beads.
+        let robot_lines = format!("{}/calibration/telemetry/generic-robot-csv.json", env!("CARGO_MANIFEST_DIR"));
+        let mut lines = vec!["", "nowhere.json", "nominal", robot_lines.as_str(), PACKETS, NONE, "nothing"];
         let (frames, wrong, scene) = (at("frames"), at("wrong.json"), at("scene.json"));
         lines.extend([frames.as_str(), wrong.as_str(), scene.as_str(), NONE]);
         // Log values; no DICOM; OpenIGTLink, after a port that is none; a console that turns.
@@ -372,7 +267,14 @@ mod tests {
         let session = folder.path().join("session.json");
         let (found, files) = answered(&args(&session), vec!["/dev/ttyUSB7".to_owned()], &mut asker).expect("answered");
         let screen = String::from_utf8(asker.screen).expect("text");
-        for words in ["[/dev/ttyUSB7]", "nowhere.json", "'nothing' is no folder", "mono_keV", "'many' is no TCP port"] {
+        for words in [
+            "[/dev/ttyUSB7]",
+            "nowhere.json",
+            "lines of a robot, not of a C-arm",
+            "'nothing' is no folder",
+            "mono_keV",
+            "'many' is no TCP port",
+        ] {
             assert!(screen.contains(words), "{words}: {screen}");
         }
         assert_eq!(screen.matches("Port of the ").count(), 2);
@@ -381,7 +283,7 @@ mod tests {
             (carm.port.as_path(), carm.calibration.as_path(), carm.baud),
             (Path::new("/dev/ttyUSB7"), Path::new(CARM.nominal.1), BAUD)
         );
-        assert!(found.robot.is_none() && found.beads.is_none());
+        assert!(found.robot.is_none() && found.beads.is_none() && carm.adapter.is_none());
         assert_eq!((found.frames.folder.as_path(), found.scene.as_path()), (Path::new("frames"), Path::new("scene.json")));
         assert_eq!((found.domain, found.frames.dicom, found.igtl), (Some(Domain::Log), None, Some(IgtlServer::on_port(18_944))));
         assert_eq!(found.console.map(|console| console.rotation_deg), Some(90.0));
@@ -392,12 +294,15 @@ mod tests {
         (given.carm, given.robot, given.frames) = (Some(NONE.to_owned()), Some("/dev/ttyACM0".to_owned()), Some(at("frames")));
         (given.robot_model, given.scene, given.beads) =
             (Some("nominal".to_owned()), Some(at("scene.json")), Some(NONE.to_owned()));
+        given.robot_adapter = Some(robot_lines);
         let mut silent = Asker { answers: &b""[..], screen: Vec::new() };
         let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing that needs an answer");
         let asked = String::from_utf8(std::mem::take(&mut silent.screen)).expect("text");
         assert!(!asked.contains("Port of the ") && !asked.contains("Scene") && asked.contains("OpenIGTLink"), "{asked}");
         assert_eq!((found.domain, found.frames.dicom, found.igtl, found.console), (None, None, None, None));
-        assert!(found.carm.is_none() && found.robot.is_some_and(|robot| robot.baud == 115_200));
+        let robot = found.robot.expect("a robot");
+        assert!(found.carm.is_none() && robot.baud == 115_200);
+        assert!(robot.adapter.is_some_and(|file| file.ends_with("calibration/telemetry/generic-robot-csv.json")));
         assert!(parse_json::<RobotModel>(files[0].1.as_bytes()).is_ok());
         given.frames = Some(at("nothing"));
         let refused = answered(&given, Vec::new(), &mut silent).expect_err("no folder").to_string();
@@ -417,6 +322,7 @@ mod tests {
         let folder_name = folder.path().display().to_string();
         (given.frames, given.scene, given.beads) = (Some(folder_name), Some(scene.display().to_string()), Some(NONE.to_owned()));
         (given.carm_calibration, given.robot_model) = (Some("nominal".to_owned()), Some("nominal".to_owned()));
+        (given.carm_adapter, given.robot_adapter) = (Some(PACKETS.to_owned()), Some(PACKETS.to_owned()));
         let robot_port = |answers: &str, ports: &[&str]| {
             let mut asker = Asker { answers: answers.as_bytes(), screen: Vec::new() };
             let ports = ports.iter().map(|port| (*port).to_owned()).collect();

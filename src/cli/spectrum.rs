@@ -166,6 +166,7 @@ fn plot(args: &SpectrumArgs, answer: &Answer) -> Plot {
             ..Series::default()
         }],
         marks: vec![Mark { x: answer.mean_kev, label: format!("mean {:.1} keV", answer.mean_kev) }],
+        ..Plot::default()
     }
 }
 

@@ -36,15 +36,15 @@ pub struct Tick {
     pub label: String,
 }
 
-/// Range that contains `low..=high` and ends at ticks (linear) or at 1, 2 or 5 times a power of ten (logarithmic). Both finite, `low <= high`,
-/// positive on a logarithmic scale.
+/// Range that contains `low..=high` and ends at ticks, of which it holds about `count` (linear), or at 1, 2 or 5 times a power of ten
+/// (logarithmic). Both finite, `low <= high`, positive on a logarithmic scale.
 #[must_use]
-pub fn round_range(scale: Scale, low: f64, high: f64) -> [f64; 2] {
+pub fn round_range(scale: Scale, low: f64, high: f64, count: usize) -> [f64; 2] {
     match scale {
         Scale::Linear => {
             // A constant gets an axis around it; a hair above the data's own rounding.
             let spread = if high - low > 1e-12 * low.abs().max(high.abs()) { high - low } else { low.abs().max(1.0) };
-            let step = round_step(spread, COUNT);
+            let step = round_step(spread, count);
             let (first, last) = ((low / step + 1e-9).floor() * step, (high / step - 1e-9).ceil() * step);
             if last > first { [first, last] } else { [first - step, last + step] }
         }
@@ -55,19 +55,19 @@ pub fn round_range(scale: Scale, low: f64, high: f64) -> [f64; 2] {
     }
 }
 
-/// Ticks within `range`: about six on a linear scale; on a logarithmic one a labelled tick a decade, with 2 and 5 between when there are few
+/// Ticks within `range`: about `count` on a linear scale; on a logarithmic one a labelled tick a decade, with 2 and 5 between when there are few
 /// decades.
 #[must_use]
-pub fn ticks(scale: Scale, range: [f64; 2]) -> Vec<Tick> {
+pub fn ticks(scale: Scale, range: [f64; 2], count: usize) -> Vec<Tick> {
     match scale {
         Scale::Linear => {
-            let step = round_step(range[1] - range[0], COUNT);
+            let step = round_step(range[1] - range[0], count);
             let decimals = (-(step * 1.000_001).log10().floor()).max(0.0) as usize;
             let far = range[0].abs().max(range[1].abs());
             let label = |value: f64| {
                 if !(1e-4..1e6).contains(&far) { trimmed_exponent(value) } else { format!("{value:.decimals$}") }
             };
-            round_values(range, COUNT).into_iter().map(|value| Tick { value, label: label(value) }).collect()
+            round_values(range, count).into_iter().map(|value| Tick { value, label: label(value) }).collect()
         }
         Scale::Log => {
             let (first, last) = (range[0].log10().floor() as i32, range[1].log10().ceil() as i32);
@@ -89,12 +89,8 @@ pub fn ticks(scale: Scale, range: [f64; 2]) -> Vec<Tick> {
     }
 }
 
-/// Of a linear axis.
-const COUNT: usize = 6;
-
 /// Round values within `range`, about `count` of them: multiples of 1, 2 or 5 times a power of ten. The ends are finite, the first the lower.
-#[must_use]
-pub fn round_values(range: [f64; 2], count: usize) -> Vec<f64> {
+fn round_values(range: [f64; 2], count: usize) -> Vec<f64> {
     let step = round_step(range[1] - range[0], count);
     let (first, last) = ((range[0] / step - 1e-6).ceil() as i64, (range[1] / step + 1e-6).floor() as i64);
     (first..=last).map(|i| i as f64 * step).collect()
@@ -157,7 +153,7 @@ mod tests {
     use super::*;
 
     fn labels(scale: Scale, range: [f64; 2]) -> Vec<String> {
-        ticks(scale, range).into_iter().map(|tick| tick.label).collect()
+        ticks(scale, range, 6).into_iter().map(|tick| tick.label).collect()
     }
 
     #[test]
@@ -196,7 +192,7 @@ mod tests {
     #[test]
     fn logarithmic_ticks_are_decades() {
         assert_eq!(labels(Scale::Log, [1.0, 100.0]), ["1", "2", "5", "10", "20", "50", "100"]);
-        let many = ticks(Scale::Log, [1e-12, 1e12]);
+        let many = ticks(Scale::Log, [1e-12, 1e12], 6);
         assert!(many.len() < 30 && many.iter().filter(|tick| !tick.label.is_empty()).count() <= 9, "{}", many.len());
     }
 
@@ -208,7 +204,7 @@ mod tests {
                 if !scale.can_show(low) {
                     continue;
                 }
-                let [first, last] = round_range(scale, low, high);
+                let [first, last] = round_range(scale, low, high, 6);
                 assert!(
                     first < last && first <= low * (1.0 + 1e-8) && last >= high * (1.0 - 1e-8),
                     "{scale:?} {low} {high}: {first} {last}"

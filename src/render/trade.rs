@@ -259,7 +259,7 @@ impl Trade {
         let point = |row: &Row| [row.achieved.ms, row.achieved.error.max(1e-8)];
         let mut series = Vec::new();
         let front: Vec<[f64; 2]> = self.rows.iter().filter(|row| row.on_front).map(point).collect();
-        series.push(Series { label: "Pareto front".to_owned(), points: front, stroke: Stroke::Line, colour: Some(0) });
+        series.push(Series { label: "Pareto front".to_owned(), points: front, colour: Some(0), ..Series::default() });
         let ways = [
             ("fixed point", Sampling::FixedSlabs),
             ("exact in slabs", Sampling::ExactSlabs),
@@ -268,7 +268,7 @@ impl Trade {
         for (label, sampling) in ways {
             let points: Vec<[f64; 2]> = self.rows.iter().filter(|row| row.sampling == sampling).map(point).collect();
             if !points.is_empty() {
-                series.push(Series { label: label.to_owned(), points, stroke: Stroke::Points, colour: None });
+                series.push(Series { label: label.to_owned(), points, stroke: Stroke::Points, ..Series::default() });
             }
         }
         let plot = Plot {
@@ -276,7 +276,7 @@ impl Trade {
             x: Axis::new("time / ms", Scale::Log),
             y: Axis::new("error, 99.9th percentile", Scale::Log),
             series,
-            marks: Vec::new(),
+            ..Plot::default()
         };
         plot.svg()
     }

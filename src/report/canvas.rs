@@ -1,6 +1,9 @@
-//! A small canvas for pictures: rectangles, lines, gray and colour rasters, and text in an embedded font.
+//! A small canvas for pictures: rectangles, paths, gray and colour rasters, and text in an embedded font.
+
+use std::ops::Range;
 
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
+use tiny_skia::{FillRule, LineCap, LineJoin, Mask, Path, PathBuilder, Stroke, Transform};
 
 use crate::image::Image;
 
@@ -70,11 +73,35 @@ impl Canvas {
 
     /// A filled disc.
     pub fn disc(&mut self, centre_u: f32, centre_v: f32, radius: f32, colour: Rgb) {
-        let (from_u, to_u) = ((centre_u - radius).floor() as i64 - 1, (centre_u + radius).ceil() as i64 + 1);
-        for v in (centre_v - radius).floor() as i64 - 1..=(centre_v + radius).ceil() as i64 + 1 {
-            for u in from_u..=to_u {
-                let distance = (u as f32 - centre_u).hypot(v as f32 - centre_v);
-                self.blend(u, v, colour, radius + 0.5 - distance);
+        if let Some(disc) = PathBuilder::from_circle(centre_u, centre_v, radius) {
+            self.cover(&disc, colour);
+        }
+    }
+
+    /// The lines of `path`, with round ends and corners.
+    pub(super) fn stroke(&mut self, path: &Path, width: f32, colour: Rgb) {
+        let pen = Stroke { width, line_cap: LineCap::Round, line_join: LineJoin::Round, ..Stroke::default() };
+        if let Some(outline) = path.stroke(&pen, 1.0) {
+            self.cover(&outline, colour);
+        }
+    }
+
+    /// The inside of `path`: each pixel takes as much colour as it is covered.
+    fn cover(&mut self, path: &Path, colour: Rgb) {
+        // The canvas counts from the first pixel's centre, a path from its corner.
+        let within = |low: f32, high: f32, end: usize| -> Range<usize> {
+            let cut = |at: f32| at.clamp(0.0, end as f32) as usize;
+            cut((low + 0.5).floor())..cut((high + 0.5).ceil())
+        };
+        let bounds = path.bounds();
+        let columns = within(bounds.left(), bounds.right(), self.image.width);
+        let rows = within(bounds.top(), bounds.bottom(), self.image.height);
+        let Some(mut mask) = Mask::new(columns.len() as u32, rows.len() as u32) else { return };
+        let into_mask = Transform::from_translate(0.5 - columns.start as f32, 0.5 - rows.start as f32);
+        mask.fill_path(path, FillRule::Winding, true, into_mask);
+        for (row, covered) in rows.zip(mask.data().chunks_exact(columns.len())) {
+            for (column, share) in columns.clone().zip(covered).filter(|(_, share)| **share > 0) {
+                self.blend(column as i64, row as i64, colour, f32::from(*share) / 255.0);
             }
         }
     }
@@ -167,6 +194,56 @@ impl Canvas {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A line on a black canvas of 40 × 30 px.
+    fn line(from: [f32; 2], to: [f32; 2], width: f32) -> Image<Rgb> {
+        let (mut canvas, mut path) = (Canvas::new(40, 30, [0; 3]), PathBuilder::new());
+        path.move_to(from[0], from[1]);
+        path.line_to(to[0], to[1]);
+        canvas.stroke(&path.finish().expect("finite"), width, [255; 3]);
+        canvas.image
+    }
+
+    /// In whole pixels.
+    fn ink(image: &Image<Rgb>) -> f64 {
+        image.pixels.iter().map(|pixel| f64::from(pixel[0]) / 255.0).sum()
+    }
+
+    #[test]
+    fn lines_cover_their_width_about_centres_of_pixels_and_slanted_ones_are_smooth() {
+        // Two pixels wide on the border of two rows: both are covered, no other one is.
+        let level = line([5.0, 10.5], [25.0, 10.5], 2.0);
+        let rows = [9, 10, 11, 12].map(|row| level.at(15, row)[0]);
+        assert!(rows[0] < 3 && rows[1] > 252 && rows[2] > 252 && rows[3] < 3, "{rows:?}");
+        // As long as it is, and half a disc at either end.
+        assert!((ink(&level) - (40.0 + std::f64::consts::PI)).abs() < 1.0, "{}", ink(&level));
+        let slanted = line([3.0, 2.0], [35.0, 26.0], 1.2);
+        assert!((ink(&slanted) - (40.0 * 1.2 + 0.36 * std::f64::consts::PI)).abs() < 3.0, "{}", ink(&slanted));
+        let between = |image: &Image<Rgb>| image.pixels.iter().filter(|pixel| (30..226).contains(&pixel[0])).count();
+        assert!(
+            between(&slanted) > 30 && between(&level) < 12,
+            "{} of the slanted, {} of the level",
+            between(&slanted),
+            between(&level)
+        );
+        // A point is a dot.
+        assert!((ink(&line([20.0, 15.0], [20.0, 15.0], 4.0)) - 4.0 * std::f64::consts::PI).abs() < 1.0);
+    }
+
+    #[test]
+    fn what_reaches_beyond_the_canvas_is_cut_there() {
+        let across = line([-9e5, 15.0], [9e5, 15.0], 1.0);
+        assert!((0..40).all(|column| across.at(column, 15)[0] > 252) && (ink(&across) - 40.0).abs() < 1.0, "{}", ink(&across));
+        assert_eq!(ink(&line([60.0, 5.0], [90.0, 25.0], 3.0)), 0.0, "beside it");
+        let mut canvas = Canvas::new(40, 30, [0; 3]);
+        canvas.disc(0.0, 0.0, 10.0, [255; 3]);
+        // A quarter of the disc and half a pixel along both of its straight sides.
+        let expected = 25.0 * std::f64::consts::PI + 10.0 + 0.25;
+        assert!((ink(&canvas.image) - expected).abs() < 1.5, "{} of {expected}", ink(&canvas.image));
+        canvas.disc(f32::NAN, 5.0, 3.0, [255; 3]);
+        canvas.disc(1e9, 1e9, 3.0, [255; 3]);
+        assert!((ink(&canvas.image) - expected).abs() < 1.5, "no place, no disc");
+    }
 
     #[test]
     fn text_draws_ink_where_it_says_and_fits_its_limit() {

@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rayon::prelude::*;
 
 use super::html_exposures::each_exposure;
-use super::html_parts::{Shown, margin_words, number, shown, table};
+use super::html_parts::{Shown, folding_table, margin_words, number, shown};
 use super::html_time::over_time;
 use super::pair::{Pair, PairStatus};
 use super::session::SessionReport;
@@ -150,10 +150,10 @@ fn exposures(report: &SessionReport) -> Markup {
     let mut headings = vec!["<frame", "time\ns", "<bound by", "<status", "rms\npx", "rms\nmm"];
     headings.extend(truth.then_some("truth error\npx"));
     headings.extend(["ZNCC", "best wrong\npose", "<here, against that", "RMSE\nnepers", "edges\nmm", "masked\n%", "total\nms"]);
-    let rows = html! { @for (index, pair) in report.pairs.iter().enumerate() { (row(report, index, pair, truth)) } };
+    let rows = report.pairs.iter().enumerate().map(|(index, pair)| row(report, index, pair, truth));
     html! {
         h2 { "Exposures" }
-        (table("scroll", &headings, &rows))
+        (folding_table(&headings, rows))
         p class="dim" style="margin-top:8px" {
             "ZNCC and best wrong pose are both of pictures at reduced size, at most 256 px wide: the score at the stated pose, and the \
              highest at other poses (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored) and in mirrored pictures. Where a wrong pose is \
@@ -162,37 +162,37 @@ fn exposures(report: &SessionReport) -> Markup {
     }
 }
 
-fn row(report: &SessionReport, index: usize, pair: &Pair, truth: bool) -> Markup {
+/// The cells of a row: class and content.
+fn row(report: &SessionReport, index: usize, pair: &Pair, truth: bool) -> Vec<(&'static str, Markup)> {
     let (standing, scores) = (pair.standing(), &pair.scores);
     let total: f64 = pair.stages_ms.iter().map(|(_, ms)| ms).sum();
-    html! {
-        tr {
-            td class="l name" title=[pair.note.as_deref()] { a href={ "#e" (index) } { (pair.frame) @if pair.note.is_some() { " *" } } }
-            td { (number(pair.time_us.map(|us| report.seconds(us)), 2)) }
-            td class="l" { (pair.binding) }
-            td class="l words" { span class={ "badge " (standing.class()) } { (standing.word().to_lowercase()) } }
-            td { (number(pair.rms_px, 3)) }
-            td { (number(pair.rms_mm, 3)) }
-            @if truth { td { (number(pair.truth.map(|truth| truth.mean_px), 3)) } }
-            // Scores of pictures of two sizes do not compare: beside its null stands the score at null size.
-            @match pair.null.get("zncc") {
-                Some(null) => {
-                    td { (number(null.at_pose, 4)) }
-                    td { (number(null.best_shifted, 4)) }
-                    td class=(if null.discriminating { "l words" } else { "l words caution" }) { (margin_words(null)) }
-                }
-                None => {
-                    td { (number(scores.zncc, 4)) }
-                    td { "–" }
-                    td class="l words dim" { "no null" }
-                }
-            }
-            td { (number(scores.rmse_nepers, 3)) }
-            td { (number(scores.edge_distance_mm, 2)) }
-            td { (number(pair.masks.as_ref().map(|masks| 100.0 * masks.masked), 1)) }
-            td { (number((total > 0.0).then_some(total), 0)) }
+    let of_number = |value: Option<f64>, decimals: usize| ("", html! { (number(value, decimals)) });
+    let frame = html! { a href={ "#e" (index) } title=[pair.note.as_deref()] { (pair.frame) @if pair.note.is_some() { " *" } } };
+    let badge = html! { span class={ "badge " (standing.class()) } { (standing.word().to_lowercase()) } };
+    let mut cells = vec![
+        ("l name", frame),
+        of_number(pair.time_us.map(|us| report.seconds(us)), 2),
+        ("l", html! { (pair.binding) }),
+        ("l words", badge),
+        of_number(pair.rms_px, 3),
+        of_number(pair.rms_mm, 3),
+    ];
+    cells.extend(truth.then(|| of_number(pair.truth.map(|truth| truth.mean_px), 3)));
+    // Scores of pictures of two sizes do not compare: beside its null stands the score at null size.
+    cells.extend(match pair.null.get("zncc") {
+        Some(null) => {
+            let class = if null.discriminating { "l words" } else { "l words caution" };
+            [of_number(null.at_pose, 4), of_number(null.best_shifted, 4), (class, html! { (margin_words(null)) })]
         }
-    }
+        None => [of_number(scores.zncc, 4), of_number(None, 4), ("l words dim", html! { "no null" })],
+    });
+    cells.extend([
+        of_number(scores.rmse_nepers, 3),
+        of_number(scores.edge_distance_mm, 2),
+        of_number(pair.masks.as_ref().map(|masks| 100.0 * masks.masked), 1),
+        of_number((total > 0.0).then_some(total), 0),
+    ]);
+    cells
 }
 
 fn list(heading: &str, lines: &[String], none: &str) -> Markup {

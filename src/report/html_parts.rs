@@ -66,6 +66,22 @@ pub(super) fn table(around: &str, headings: &[&str], rows: &Markup) -> Markup {
     }
 }
 
+/// A table of so many columns that a narrow window shows each row as lines of cells, and with each cell its heading. Cells are a class and
+/// what stands in them, in the order of `headings`.
+pub(super) fn folding_table(headings: &[&str], rows: impl Iterator<Item = Vec<(&'static str, Markup)>>) -> Markup {
+    let names: Vec<String> = headings.iter().map(|heading| heading.trim_start_matches('<').replace('\n', " ")).collect();
+    let rows = html! {
+        @for cells in rows {
+            tr {
+                @for ((class, cell), name) in cells.iter().zip(&names) {
+                    td class=[(!class.is_empty()).then_some(class)] data-of=(name) { (cell) }
+                }
+            }
+        }
+    };
+    table("fold", headings, &rows)
+}
+
 /// How a score at the stated pose stands to the best of the wrong ones, in words; both are of pictures of one size.
 pub(super) fn margin_words(null: &NullScore) -> String {
     let Some((here, wrong)) = null.at_pose.zip(null.best_shifted) else { return "–".to_owned() };

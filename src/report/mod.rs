@@ -15,7 +15,6 @@ mod marks;
 mod overlay;
 mod pair;
 mod panels;
-mod plots;
 mod session;
 mod shut_off;
 mod signed_difference;

@@ -123,7 +123,7 @@ pub fn plot(report: &CarmReport) -> Result<String, PlotError> {
         label: label.to_owned(),
         points: (1u32..).zip(&report.shots).map(|(n, shot)| [f64::from(n), of(&shot.held_out)]).collect(),
         stroke: Stroke::Points,
-        colour: None,
+        ..Series::default()
     };
     let drawing = Plot {
         title: "Each shot predicted from its joint readings by the arm of the others".to_owned(),

@@ -101,7 +101,7 @@ pub fn plot(report: &RobotReport) -> Result<String, PlotError> {
         label: label.to_owned(),
         points: (1u32..).zip(&report.shots).filter_map(|(n, shot)| Some([f64::from(n), of(shot.tip.as_ref()?)])).collect(),
         stroke: Stroke::Points,
-        colour: None,
+        ..Series::default()
     };
     let drawing = Plot {
         title: "The drill's tip against readings and offsets, in the plane of each frame".to_owned(),

@@ -32,11 +32,13 @@ mod replay_board;
 mod replay_report;
 
 mod adapters;
+mod album;
 mod against_log;
 mod air_word;
 mod background;
 mod basis;
 mod bell;
+mod board_state;
 mod bound;
 mod broadcast;
 mod busy;
@@ -89,6 +91,7 @@ mod waiting;
 mod warm;
 mod whereabouts;
 mod workshop;
+mod yard;
 
 pub use adapters::Adapters;
 pub use developed::Developed;

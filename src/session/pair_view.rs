@@ -40,10 +40,4 @@ impl PairView {
     pub fn number(&self) -> u32 {
         self.pair.number
     }
-
-    /// Leaves a small picture, and of the pose what is said in words.
-    pub(super) fn shrink(&mut self) {
-        self.pictures = Arc::new(self.pictures.small());
-        Arc::make_mut(&mut self.pose).shadows = Vec::new();
-    }
 }

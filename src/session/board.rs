@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::album::{Album, Key, Leaving};
+pub use super::at_exposure::AtExposure;
 use super::bell::Bell;
 pub use super::bell::LEAST_BETWEEN;
 pub use super::board_state::{BoardState, PictureMemory};

@@ -192,6 +192,8 @@ pub(super) mod example {
             mm_per_px: None,
             remedy: None,
             marks: Arc::default(),
+            seen_robot: None,
+            devices: Arc::default(),
             pictures: Arc::new(PairPictures::alone(&frame, &Masks::default())),
             latency_ms: Some(f64::from(number)),
         }

@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
+use super::at_exposure::AtExposure;
 use super::pair_marks::PairMarks;
 use super::pair_pictures::PairPictures;
+use super::told_twice::is_of_telemetry;
+use crate::calibrate::robot::SeenRobot;
 use crate::pose::Pose;
 use crate::report::Pair;
 
@@ -28,6 +31,10 @@ pub struct PairView {
     pub remedy: Option<String>,
     /// What is drawn over the pictures.
     pub marks: Arc<PairMarks>,
+    /// The robot as the frame shows it; absent where it was not looked for, or not seen.
+    pub seen_robot: Option<Arc<SeenRobot>>,
+    /// What the devices said at the exposure.
+    pub devices: Arc<AtExposure>,
     /// The pictures.
     pub pictures: Arc<PairPictures>,
     /// From the exposure until it could be shown; `None` in a replay.
@@ -39,5 +46,31 @@ impl PairView {
     #[must_use]
     pub fn number(&self) -> u32 {
         self.pair.number
+    }
+
+    /// Whether its reason tells how far telemetry and beads are apart.
+    #[must_use]
+    pub fn is_reason_telemetry(&self) -> bool {
+        self.pair.reason.as_deref().is_some_and(is_of_telemetry)
+    }
+
+    /// What to beware of besides the reason. That telemetry and beads are apart is known from several sides, and told once.
+    #[must_use]
+    pub fn cautions(&self) -> Vec<&str> {
+        let mut is_told = self.is_reason_telemetry();
+        self.all_cautions().filter(|words| !(is_of_telemetry(words) && std::mem::replace(&mut is_told, true))).collect()
+    }
+
+    /// The cautions that tell in other words what its reason, or another caution, tells.
+    #[must_use]
+    pub fn said_otherwise(&self) -> Vec<&str> {
+        let told = usize::from(!self.is_reason_telemetry());
+        self.all_cautions().filter(|words| is_of_telemetry(words)).skip(told).collect()
+    }
+
+    fn all_cautions(&self) -> impl Iterator<Item = &str> {
+        let pair = &self.pair;
+        let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str);
+        pair.robot_words().into_iter().chain(others).filter(move |words| pair.reason.as_deref() != Some(*words))
     }
 }

@@ -3,6 +3,7 @@
 //! What a person edits goes the other way as plain requests ([`crate::session::edit::EditRequest`]), through a channel.
 
 mod theme;
+mod told;
 mod sight;
 mod player;
 mod picture_cache;

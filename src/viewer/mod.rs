@@ -19,6 +19,7 @@ mod standing;
 mod devices;
 mod pose_pane;
 mod scores;
+mod time_axis;
 mod timeline;
 mod toolbar;
 mod layout;

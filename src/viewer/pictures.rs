@@ -193,8 +193,7 @@ fn draw(
             Pane::Drr => marks::predicted(&within, placed, pair, state),
             Pane::Difference => {}
         }
-        // Whatever has words lies over it.
-        cursor.into_iter().for_each(|at| crosshair(&within, at));
+        cursor.into_iter().for_each(|at| crosshair(&within, at, &legends(placed)));
         if let Some(mm_per_px) = pair.mm_per_px {
             marks::scale_bar(&within, placed, mm_per_px);
         }
@@ -257,11 +256,25 @@ fn overlay(ui: &Ui, painter: &Painter, placed: &Placed, state: &mut ViewState) {
     }
 }
 
-fn crosshair(painter: &Painter, at: Pos2) {
+/// Where a pane has words in its corners.
+fn legends(placed: &Placed) -> [Rect; 4] {
+    let (seen, pane) = (placed.seen(), placed.pane);
+    let title = Rect::from_min_size(pane.left_top(), vec2(0.45 * pane.width(), 42.0));
+    let marks = Rect::from_min_max(pos2(seen.right() - 235.0, seen.top()), pos2(seen.right(), seen.top() + 60.0));
+    let colours = Rect::from_min_max(pos2(seen.right() - 140.0, seen.bottom() - 50.0), seen.max);
+    let scale = Rect::from_min_max(pos2(seen.left(), seen.bottom() - 36.0), pos2(seen.left() + 0.32 * seen.width(), seen.bottom()));
+    [title, marks, colours, scale]
+}
+
+/// Where the cursor is in another pane; it leaves out what would lie over words.
+fn crosshair(painter: &Painter, at: Pos2, legends: &[Rect]) {
     let stroke = Stroke::new(1.0, Color32::from_white_alpha(110));
-    for (near, far) in [(5.0, 16.0), (-5.0, -16.0)] {
-        painter.line_segment([at + vec2(near, 0.0), at + vec2(far, 0.0)], stroke);
-        painter.line_segment([at + vec2(0.0, near), at + vec2(0.0, far)], stroke);
+    for towards in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
+        let ends = [at + 5.0 * towards, at + 16.0 * towards];
+        let arm = Rect::from_two_pos(ends[0], ends[1]);
+        if !legends.iter().any(|legend| legend.intersects(arm)) {
+            painter.line_segment(ends, stroke);
+        }
     }
 }
 

@@ -122,6 +122,7 @@ mod report_page;
 mod viewer_boards;
 mod viewer_drawn;
 mod viewer_mouse;
+mod viewer_overlays;
 mod viewer_pace;
 mod viewer_readout;
 mod viewer_real;

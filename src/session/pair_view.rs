@@ -54,18 +54,19 @@ impl PairView {
         self.pair.reason.as_deref().is_some_and(is_of_telemetry)
     }
 
-    /// What to beware of besides the reason. That telemetry and beads are apart is known from several sides, and told once.
+    /// What to beware of besides the reason. Sentences that tell the same in other words stand together, the first of them for all: that
+    /// telemetry and beads are apart is found by several checks.
     #[must_use]
-    pub fn cautions(&self) -> Vec<&str> {
-        let mut is_told = self.is_reason_telemetry();
-        self.all_cautions().filter(|words| !(is_of_telemetry(words) && std::mem::replace(&mut is_told, true))).collect()
+    pub fn cautions(&self) -> Vec<Vec<&str>> {
+        let (of_telemetry, others): (Vec<&str>, Vec<&str>) = self.all_cautions().partition(|words| is_of_telemetry(words));
+        let together = Some(of_telemetry).filter(|words| !words.is_empty() && !self.is_reason_telemetry());
+        together.into_iter().chain(others.into_iter().map(|words| vec![words])).collect()
     }
 
-    /// The cautions that tell in other words what its reason, or another caution, tells.
+    /// What tells in other words what its reason tells.
     #[must_use]
     pub fn said_otherwise(&self) -> Vec<&str> {
-        let told = usize::from(!self.is_reason_telemetry());
-        self.all_cautions().filter(|words| is_of_telemetry(words)).skip(told).collect()
+        self.all_cautions().filter(|words| self.is_reason_telemetry() && is_of_telemetry(words)).collect()
     }
 
     fn all_cautions(&self) -> impl Iterator<Item = &str> {

@@ -47,12 +47,12 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
     }
     uncertainty(ui, view);
     let words = view.cautions();
-    for flag in words.iter().take(FLAGS) {
-        ui.add(egui::Label::new(RichText::new(*flag).size(SMALL).color(CAUTION)).truncate()).on_hover_text(*flag);
+    for same in words.iter().take(FLAGS) {
+        ui.add(egui::Label::new(RichText::new(same[0]).size(SMALL).color(CAUTION)).truncate()).on_hover_text(same.join("\n"));
     }
     if words.len() > FLAGS {
         let more = &words[FLAGS..];
-        ui.label(dim(format!("and {} more to beware of", more.len()))).on_hover_text(more.join("\n"));
+        ui.label(dim(format!("and {} more to beware of", more.len()))).on_hover_text(more.concat().join("\n"));
     }
 }
 

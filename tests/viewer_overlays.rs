@@ -178,9 +178,7 @@ fn the_robot_as_it_is_seen_lies_beside_that_of_telemetry_dashed_and_in_its_own_c
     // Dashes of six points with gaps of four, about which a look of three points sees some more.
     assert!((55..98).contains(&along(&seen)), "{}", along(&seen));
     let legend = Rect::from_min_max(pos2(picture.right() - 235.0, picture.top()), pos2(picture.right(), picture.top() + 62.0));
-    let in_legend = |seen: &Image<[u8; 3]>, colour: [u8; 3]| {
-        near(seen, legend.center(), 0.5 * legend.height(), colour)
-    };
+    let in_legend = |seen: &Image<[u8; 3]>, colour: [u8; 3]| near(seen, legend.center(), 0.5 * legend.height(), colour);
     assert!(in_legend(&seen, SEEN_ROBOT) > 15, "{}", in_legend(&seen, SEEN_ROBOT));
     assert!(in_legend(&seen, [90, 190, 255]) > 15, "telemetry's is named too: {}", in_legend(&seen, [90, 190, 255]));
     // The controls: one that is not seen, and one that nobody wants to see.
@@ -247,7 +245,8 @@ fn a_score_stands_where_it_is_among_those_of_wrong_poses() {
         let (from, to, row) = (bar.left() + 5.0, bar.right() - 5.0, bar.center().y as usize);
         let x = |share: f32| from + share * (to - from);
         let columns = bar.left() as usize..bar.right() as usize + 1;
-        let of_mark: Vec<f32> = columns.filter(|column| like(seen.at(*column, row), colour, 40)).map(|column| column as f32 + 0.5).collect();
+        let of_mark: Vec<f32> =
+            columns.filter(|column| like(seen.at(*column, row), colour, 40)).map(|column| column as f32 + 0.5).collect();
         assert!(!of_mark.is_empty(), "{name}: no mark of its colour in {bar:?}");
         let middle = of_mark.iter().sum::<f32>() / of_mark.len() as f32;
         assert!((middle - x(mark)).abs() < 1.5 && of_mark.len() <= 5, "{name}: mark at {middle}, expected at {}", x(mark));

@@ -107,9 +107,8 @@ impl BoardState {
     pub(super) fn take_back(&mut self, (number, development): Key, pictures: Option<PairPictures>) -> Vec<Leaving> {
         // Elsewhere they are no more.
         self.away.remove(&number);
-        let is_it = |pair: &&mut Arc<PairView>| {
-            pair.number() == number && pair.development == development && pair.pictures.is_small()
-        };
+        let is_it =
+            |pair: &&mut Arc<PairView>| pair.number() == number && pair.development == development && pair.pictures.is_small();
         match (pictures, self.pairs.iter_mut().find(is_it)) {
             (Some(pictures), Some(pair)) => Arc::make_mut(pair).pictures = Arc::new(pictures),
             _ => return Vec::new(),

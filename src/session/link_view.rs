@@ -208,7 +208,9 @@ mod tests {
                 let joints = CarmJoints { orbital_rad: by.to_radians(), ..CarmJoints::ZERO };
                 Sample::Carm(CarmSample { joints, ..CarmSample::UNTOLD })
             }),
-            ("lift", |by| Sample::Carm(CarmSample { joints: CarmJoints { lift_mm: by, ..CarmJoints::ZERO }, ..CarmSample::UNTOLD })),
+            ("lift", |by| {
+                Sample::Carm(CarmSample { joints: CarmJoints { lift_mm: by, ..CarmJoints::ZERO }, ..CarmSample::UNTOLD })
+            }),
             ("tube", |by| Sample::Carm(CarmSample { tube_kvp: 90.0 + by, ..CarmSample::UNTOLD })),
             ("bend", |by| Sample::Robot(robot(by))),
         ];

@@ -2,8 +2,8 @@
 
 use super::posed::Posed;
 use crate::geometry::{Distortion, View};
-pub use crate::report::{BeadMark, LandmarkMark, PairMarks, RobotMark};
 use crate::report::PoseSource;
+pub use crate::report::{BeadMark, LandmarkMark, PairMarks, RobotMark};
 use crate::scene::Scene;
 
 /// The marks of a posed frame; the robot is that of the scene that its DRR shows, and beads are where the pose of that DRR has them.
@@ -82,7 +82,8 @@ mod tests {
         let expected = [("middle", Some([49.5, 39.5])), ("right", Some([74.5, 39.5])), ("outside", None), ("behind", None)];
         assert_eq!(marks.beads.len(), expected.len());
         for (mark, (name, place)) in marks.beads.iter().zip(expected) {
-            let off = mark.predicted_px.zip(place).map(|(at, place): ([f64; 2], [f64; 2])| (at[0] - place[0]).hypot(at[1] - place[1]));
+            let off =
+                mark.predicted_px.zip(place).map(|(at, place): ([f64; 2], [f64; 2])| (at[0] - place[0]).hypot(at[1] - place[1]));
             assert_eq!((mark.name.as_str(), mark.predicted_px.is_some()), (name, place.is_some()));
             assert!(off.is_none_or(|off| off < 1e-9), "{name}: {:?}", mark.predicted_px);
         }
@@ -93,7 +94,10 @@ mod tests {
         assert!(named(&marks, "right") && !named(&marks, "outside"));
         // The control: with no pose at all, what registration had tried is all there is.
         let without = marks_of(&posed(PoseSource::None, None), None);
-        assert_eq!(without.beads.iter().map(|bead| bead.predicted_px).collect::<Vec<_>>(), [Some([11.0, 11.0]), None, None, None]);
+        assert_eq!(
+            without.beads.iter().map(|bead| bead.predicted_px).collect::<Vec<_>>(),
+            [Some([11.0, 11.0]), None, None, None]
+        );
         assert!(!named(&without, "right"));
     }
 }

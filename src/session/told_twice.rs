@@ -32,7 +32,9 @@ mod tests {
         }));
         let said: Vec<String> = said.into_iter().flatten().collect();
         assert!(said.len() >= 3 && said.iter().all(|words| is_of_telemetry(words)), "{said:#?}");
-        assert!(is_of_telemetry(&Finding::warn(TELEMETRY_AND_BEADS, "telemetry puts the specimen elsewhere", "check").to_string()));
+        assert!(is_of_telemetry(
+            &Finding::warn(TELEMETRY_AND_BEADS, "telemetry puts the specimen elsewhere", "check").to_string()
+        ));
         assert!(is_of_telemetry("telemetry and beads are 27.7 mm and 0.5 degrees apart"));
         assert!(!is_of_telemetry("the images are 0.30 nepers apart"), "the control");
     }

@@ -201,7 +201,8 @@ fn draw(
     }
     let mut corner = placed.pane.left_top() + vec2(7.0, 5.0);
     let is_dark = (pane == Pane::Difference && empty(pane, pair).is_none()).then(|| dark(pair)).flatten();
-    let lines = [Some((title(pane, state), TEXT)), is_dark.map(|words| (words, DIM)), small(board, pair).map(|words| (words, CAUTION))];
+    let lines =
+        [Some((title(pane, state), TEXT)), is_dark.map(|words| (words, DIM)), small(board, pair).map(|words| (words, CAUTION))];
     for (line, colour) in lines.into_iter().flatten() {
         corner.y = marks::words(&painter, corner, Align2::LEFT_TOP, &line, colour).bottom() + 3.0;
     }
@@ -262,7 +263,8 @@ fn legends(placed: &Placed) -> [Rect; 4] {
     let title = Rect::from_min_size(pane.left_top(), vec2(0.45 * pane.width(), 42.0));
     let marks = Rect::from_min_max(pos2(seen.right() - 235.0, seen.top()), pos2(seen.right(), seen.top() + 60.0));
     let colours = Rect::from_min_max(pos2(seen.right() - 140.0, seen.bottom() - 50.0), seen.max);
-    let scale = Rect::from_min_max(pos2(seen.left(), seen.bottom() - 36.0), pos2(seen.left() + 0.32 * seen.width(), seen.bottom()));
+    let scale =
+        Rect::from_min_max(pos2(seen.left(), seen.bottom() - 36.0), pos2(seen.left() + 0.32 * seen.width(), seen.bottom()));
     [title, marks, colours, scale]
 }
 

@@ -12,9 +12,8 @@ const LABEL: f32 = 64.0;
 const SPANS_S: [i64; 16] =
     [30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18_000, 36_000, 86_400, 172_800, 604_800, 2_592_000, 31_536_000];
 /// Between two round times, seconds.
-const STEPS_S: [i64; 19] = [
-    1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18_000, 43_200, 86_400, 604_800, 2_592_000,
-];
+const STEPS_S: [i64; 19] =
+    [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18_000, 43_200, 86_400, 604_800, 2_592_000];
 const SECOND_US: i64 = 1_000_000;
 
 /// A round time on the strip.
@@ -110,7 +109,8 @@ impl TimeAxis {
         let after = self.times_us.partition_point(|of_exposure| *of_exposure <= time_us);
         let (Some(before_us), Some(before)) = (self.times_us[..after].last(), self.lefts[..after].last()) else { return 0.0 };
         let end = (self.end_us, (self.width - last_width(self.width, self.lefts.len())).max(*before));
-        let (next_us, next) = self.times_us.get(after).zip(self.lefts.get(after)).map_or(end, |(time_us, left)| (*time_us, *left));
+        let (next_us, next) =
+            self.times_us.get(after).zip(self.lefts.get(after)).map_or(end, |(time_us, left)| (*time_us, *left));
         let share = time_us.saturating_sub(*before_us) as f64 / next_us.saturating_sub(*before_us).max(1) as f64;
         before + (next - before) * share.min(1.0) as f32
     }

@@ -138,10 +138,7 @@ fn tiles(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     let tile = |n: usize| {
         let [left, right] = axis.tile(n);
         let gap = if right - left > 6.0 { 1.0 } else { 0.0 };
-        Rect::from_min_max(
-            pos2(row.left() + left + gap, row.top() + 2.0),
-            pos2(row.left() + right - gap, row.bottom() - 2.0),
-        )
+        Rect::from_min_max(pos2(row.left() + left + gap, row.top() + 2.0), pos2(row.left() + right - gap, row.bottom() - 2.0))
     };
     for (n, pair) in board.pairs.iter().enumerate() {
         of_pair(&painter, tile(n), board, pair);

@@ -65,8 +65,14 @@ mod tests {
 
     #[test]
     fn what_is_to_be_done_is_cut_off_outside_parentheses_only() {
-        assert_eq!(before_semicolon("3 shadows, 4 are needed; open the collimator, or check --bead-radius"), "3 shadows, 4 are needed");
-        assert_eq!(before_semicolon("no pose as stored (two; three) nor mirrored (x); state it"), "no pose as stored (two; three) nor mirrored (x)");
+        assert_eq!(
+            before_semicolon("3 shadows, 4 are needed; open the collimator, or check --bead-radius"),
+            "3 shadows, 4 are needed"
+        );
+        assert_eq!(
+            before_semicolon("no pose as stored (two; three) nor mirrored (x); state it"),
+            "no pose as stored (two; three) nor mirrored (x)"
+        );
         assert_eq!(before_semicolon("nothing to do"), "nothing to do");
     }
 }

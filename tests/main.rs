@@ -126,6 +126,7 @@ mod viewer_overlays;
 mod viewer_pace;
 mod viewer_readout;
 mod viewer_real;
+mod viewer_told;
 mod viewer_window;
 mod mask_blades;
 mod mask_dead;

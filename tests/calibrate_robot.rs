@@ -240,7 +240,21 @@ fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
             let frame = drawn.frame(&lab, n, is_there);
             tip_in_frame(&frame, &of_frame(&frame), &drawn.poses[n], &scene, &|| false).expect("metals")
         };
-        let tip = seen(true).unwrap_or_else(|| panic!("shot {n} shows the robot"));
+        let robot = seen(true).unwrap_or_else(|| panic!("shot {n} shows the robot"));
+        let (tip, line) = (robot.tip, &robot.centreline_px);
+        let apart_px = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+        assert!(
+            apart_px(line[line.len() - 1], tip.image_px) < 0.1,
+            "shot {n}: {:?} ends elsewhere than {:?}",
+            line,
+            tip.image_px
+        );
+        let steps_px: Vec<f64> = line.windows(2).map(|pair| apart_px(pair[0], pair[1])).collect();
+        let (longest_px, length_px) = (steps_px.iter().copied().fold(0.0, f64::max), steps_px.iter().sum::<f64>());
+        assert!(
+            line.len() > 20 && longest_px < 0.1 * length_px,
+            "shot {n}: it goes from the base to the tip in even steps: {steps_px:?}"
+        );
         let [u, v] = drawn.bent_mm(n);
         let off_mm = (tip.off_mm[0] - u).hypot(tip.off_mm[1] - v);
         println!("shot {n}: moved by {u:.2}, {v:.2} mm, seen {:?} ± {:?}", tip.off_mm, tip.sigma_mm);

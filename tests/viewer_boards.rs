@@ -7,7 +7,7 @@ use glam::DVec3;
 use sidecarm::compare::{CompareInput, Compared, compare};
 use sidecarm::geometry::{CarmJoints, View};
 use sidecarm::mask::Masks;
-use sidecarm::pose::Pose;
+use sidecarm::pose::{Pose, Refusal};
 use sidecarm::report::{Pair, PairStatus, PoseSource, ShadowMark};
 use sidecarm::session::board::{BeadMark, BoardState, LandmarkMark, Link, PairMarks, PairPictures, PairView, RobotMark};
 use sidecarm::telemetry::{CarmSample, DeviceKind, Sample};
@@ -83,6 +83,8 @@ pub fn accepted(number: u32) -> PairView {
         mm_per_px: Some(0.2),
         remedy: None,
         marks: Arc::new(marks()),
+        seen_robot: None,
+        devices: Arc::default(),
         pictures: Arc::new(PairPictures::compared(frame.size_px, &compared.pictures)),
         latency_ms: Some(820.0),
     }
@@ -101,10 +103,11 @@ pub fn amber(number: u32) -> PairView {
 /// Without a pose.
 pub fn refused(number: u32) -> PairView {
     let mut view = accepted(number);
+    let few = Refusal::TooFewShadows { found: 2, required: 4, prior_puts_into_frame: None };
     let pair = Arc::make_mut(&mut view.pair);
-    (pair.status, pair.pose_source) = (PairStatus::Refused, PoseSource::None);
-    pair.reason = Some("too_few_shadows: 2 bead-like shadows in the frame, 4 are needed".to_owned());
+    (pair.status, pair.pose_source, pair.reason) = (PairStatus::Refused, PoseSource::None, Some(few.to_string()));
     (pair.scores, pair.null, pair.rms_px, pair.rms_mm) = Default::default();
+    view.pose = Arc::new(Pose { detections: 2, ..Pose::default() }.refused_for(few));
     view.remedy = Some("bring more beads into the open field".to_owned());
     view.marks = Arc::new(PairMarks { beads: Vec::new(), robot: None, landmarks: Vec::new(), ..marks() });
     view.pictures = Arc::new(PairPictures::alone(&compared().0, &Masks::default()));

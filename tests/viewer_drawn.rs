@@ -22,6 +22,8 @@ pub struct Drawn {
     renderer: Renderer,
     context: Context,
     pub state: ViewState,
+    /// Where the pointer is.
+    pub pointer: Option<Pos2>,
     looks: f64,
 }
 
@@ -35,7 +37,7 @@ impl Drawn {
             return None;
         };
         let renderer = Renderer::new(&gpu.device, FORMAT, RendererOptions { dithering: false, ..RendererOptions::default() });
-        Some(Self { gpu, renderer, context: Context::default(), state: ViewState::default(), looks: 0.0 })
+        Some(Self { gpu, renderer, context: Context::default(), state: ViewState::default(), pointer: None, looks: 0.0 })
     }
 
     /// The window after a few looks at `board`.
@@ -51,7 +53,8 @@ impl Drawn {
     fn look(&mut self, board: &BoardState) -> egui::FullOutput {
         self.looks += 1.0;
         let screen = Rect::from_min_size(Pos2::ZERO, vec2(SIZE[0] as f32, SIZE[1] as f32));
-        let input = RawInput { screen_rect: Some(screen), time: Some(0.01 * self.looks), ..RawInput::default() };
+        let events = self.pointer.map(egui::Event::PointerMoved).into_iter().collect();
+        let input = RawInput { screen_rect: Some(screen), time: Some(0.01 * self.looks), events, ..RawInput::default() };
         let Self { context, state, .. } = self;
         let mut output = context.run_ui(input, |ui| draw(ui, board, state));
         for (id, deltas) in output.textures_delta.set.drain() {
@@ -131,7 +134,8 @@ pub fn picture_at(seen: &Image<[u8; 3]>, from: [usize; 2]) -> Rect {
     Rect::from_min_max(pos2(left as f32, top as f32), pos2(right as f32, bottom as f32))
 }
 
-fn mean(seen: &Image<[u8; 3]>, within: Rect) -> f64 {
+/// Mean of what is red within a rectangle.
+pub fn mean(seen: &Image<[u8; 3]>, within: Rect) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for row in within.top() as usize..within.bottom() as usize {
         for column in within.left() as usize..within.right() as usize {
@@ -143,15 +147,15 @@ fn mean(seen: &Image<[u8; 3]>, within: Rect) -> f64 {
 }
 
 /// Pixels of about this colour within a few points of `at`.
-fn near(seen: &Image<[u8; 3]>, at: Pos2, reach: f32, colour: [u8; 3]) -> usize {
+pub fn near(seen: &Image<[u8; 3]>, at: Pos2, reach: f32, colour: [u8; 3]) -> usize {
     let like = |pixel: &[u8; 3]| pixel.iter().zip(colour).all(|(a, b)| a.abs_diff(b) < 60);
     let span = |middle: f32| (middle - reach) as usize..=(middle + reach) as usize;
     span(at.y).flat_map(|row| span(at.x).map(move |column| (column, row))).filter(|(u, v)| like(seen.at(*u, *v))).count()
 }
 
-const GREEN: [u8; 3] = [76, 195, 138];
+pub const GREEN: [u8; 3] = [76, 195, 138];
 const RED: [u8; 3] = [240, 106, 95];
-const AMBER: [u8; 3] = [242, 184, 75];
+pub const AMBER: [u8; 3] = [242, 184, 75];
 
 /// In the middle of the upper left picture, where no mark is.
 pub const IN_ACQUIRED: [usize; 2] = [560, 330];
@@ -197,18 +201,22 @@ type Is = fn([u8; 3]) -> bool;
 #[test]
 fn what_is_stale_is_gray() {
     let Some(mut drawn) = Drawn::open() else { return };
-    let mut count = |age_us: i64, is: Is| {
+    let mut count = |(age_us, finished): (i64, bool), is: Is| {
         let links = vec![line(age_us)];
-        let seen = drawn.picture(&BoardState { links, now_us: NOW_US, ..BoardState::default() });
+        let seen = drawn.picture(&BoardState { links, finished, now_us: NOW_US, ..BoardState::default() });
         let below_the_state = (110..880usize).flat_map(|row| (0..316usize).map(move |column| (column, row)));
         below_the_state.filter(|(u, v)| is(*seen.at(*u, *v))).count()
     };
     // Brighter than lesser words are.
     let bright = |pixel: [u8; 3]| pixel.iter().all(|level| *level > 160);
     let stale = |pixel: [u8; 3]| pixel.iter().zip([0x78u8, 0x80, 0x88]).all(|(a, b)| a.abs_diff(b) < 3);
-    let [live, gone] = [20_000, 2_000_000].map(|age_us| [bright as Is, stale].map(|is| count(age_us, is)));
-    assert!(live[0] > 60 && gone[0] == 0, "values that are of now, and that are not: {live:?} {gone:?}");
-    assert!(gone[1] > live[1] + 25, "the line's dot: {live:?} {gone:?}");
+    let lines = [(20_000, false), (2_000_000, false), (20_000, true)];
+    let [live, gone, ended] = lines.map(|line| [bright as Is, stale].map(|is| count(line, is)));
+    assert!(live[0] > 60, "{live:?}");
+    for gray in [gone, ended] {
+        assert_eq!(gray[0], 0, "values that are not of now: {live:?} {gray:?}");
+        assert!(gray[1] > live[1] + 25, "the line's dot: {live:?} {gray:?}");
+    }
 }
 
 #[test]

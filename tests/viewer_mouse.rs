@@ -63,8 +63,9 @@ fn the_exposures_are_scrubbed_through_by_dragging_along_them() {
     let (mut harness, state) = window(board(vec![accepted(1), refused(4), accepted(9)]));
     assert_eq!(state.borrow().selected, None, "the newest is followed");
     let strip = place(&harness, "exposure 3 of 3");
-    // Tiles are 46 points wide.
-    let tile = |n: u8| Pos2::new(strip.left() + 46.0 * f32::from(n) + 20.0, strip.center().y);
+    // Of the half minute that the strip shows, three and eight seconds after the first; tiles are up to 46 points wide.
+    let seconds = [0.0, 3.0, 8.0, 29.0];
+    let tile = |n: usize| Pos2::new(strip.left() + seconds[n] / 30.0 * (strip.width() - 46.0) + 20.0, strip.top() + 10.0);
     move_to(&mut harness, tile(0));
     press(&mut harness, tile(0), PointerButton::Primary, true);
     // Less than some points is no drag yet.
@@ -74,9 +75,9 @@ fn the_exposures_are_scrubbed_through_by_dragging_along_them() {
     assert_eq!(state.borrow().selected, Some(4));
     assert!(said(&harness).contains("REFUSED"), "what is scrubbed to is shown");
     // Beyond the last it is the last, which is followed.
-    move_to(&mut harness, tile(9));
+    move_to(&mut harness, tile(3));
     assert_eq!(state.borrow().selected, None);
-    press(&mut harness, tile(9), PointerButton::Primary, false);
+    press(&mut harness, tile(3), PointerButton::Primary, false);
     move_to(&mut harness, tile(0));
     assert_eq!(state.borrow().selected, None, "control: nothing is chosen without a button");
 }

@@ -11,7 +11,7 @@ use egui_kittest::kittest::NodeT;
 use sidecarm::image::Image;
 use sidecarm::mask::{Cause, Masks};
 use sidecarm::report::short;
-use sidecarm::session::board::{PairPictures, PairView};
+use sidecarm::session::board::{BoardState, PairPictures, PairView, PictureMemory};
 use sidecarm::viewer::{ViewState, draw};
 
 use crate::compare_synthetic::{acquired, line_integral, view};
@@ -24,7 +24,12 @@ struct Window {
 
 impl Window {
     fn open(pair: PairView) -> Self {
-        let (board, state) = (board(vec![pair]), Rc::new(RefCell::new(ViewState::default())));
+        Self::of(board(vec![pair]), None)
+    }
+
+    fn of(board: BoardState, selected: Option<u32>) -> Self {
+        let state = Rc::new(RefCell::new(ViewState::default()));
+        state.borrow_mut().selected = selected;
         let show = move |ui: &mut eframe::egui::Ui| draw(ui, &board, &mut state.borrow_mut());
         let mut harness = Harness::builder().with_size(Vec2::new(1400.0, 900.0)).build_ui(show);
         harness.run_steps(3);
@@ -102,4 +107,20 @@ fn a_masked_pixel_says_so_and_a_frame_alone_has_no_drr() {
     assert!(left.contains("column 60, row 200") && left.contains("  ·  nepers") && !left.contains(masked), "{left}");
     assert!(right.contains("column 250, row 200") && right.contains(masked), "{right}");
     assert!(!right.contains("  ·  DRR ") && !right.contains("  ·  difference "), "{right}");
+}
+
+/// The values of a small picture, each of which stands for a block of pixels, were told as those of the pixel under the cursor.
+#[test]
+fn a_small_picture_tells_no_values() {
+    let mut state = BoardState { picture_memory: PictureMemory(0), ..board(Vec::new()) };
+    [1, 2].into_iter().for_each(|number| drop(state.show(accepted(number))));
+    assert_eq!([0, 1].map(|n: usize| state.pairs[n].pictures.is_small()), [true, false]);
+    let small = Window::of(state.clone(), Some(1)).over("acquired: small picture: the log has it", 100, 180);
+    assert!(small.contains("column 100, row 180") && small.contains("−10.9, 12.1 mm from the middle"), "{small}");
+    assert!(small.contains("small picture, no values"), "{small}");
+    for words in ["acquired 0", "acquired 1", "acquired 2", "  ·  DRR ", "  ·  difference ", "  ·  nepers"] {
+        assert!(!small.contains(words), "{words}: {small}");
+    }
+    let whole = Window::of(state, Some(2)).over("acquired", 100, 180);
+    assert!(whole.contains("  ·  DRR ") && !whole.contains("small picture"), "the control: {whole}");
 }

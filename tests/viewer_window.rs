@@ -36,7 +36,8 @@ pub fn said(harness: &Harness) -> String {
     found.join("\n")
 }
 
-fn texts(board: BoardState) -> String {
+/// All that a window with this board says.
+pub fn texts(board: BoardState) -> String {
     said(&window(board).0)
 }
 
@@ -49,7 +50,7 @@ fn a_silent_line_looks_stale_and_a_live_one_does_not() {
         "{live}"
     );
     let stale = with(line(2_000_000));
-    assert!(stale.contains("STALE 2.0 s") && !stale.contains("live") && !stale.contains("50 Hz"), "{stale}");
+    assert!(stale.contains("STALE 2 s") && !stale.contains("live") && !stale.contains("50 Hz"), "{stale}");
     assert!(with(Link { open: false, ..line(100_000) }).contains("unplugged"));
     assert!(with(Link { last_sample_us: None, ..line(0) }).contains("silent"));
 }
@@ -81,7 +82,7 @@ fn a_line_tells_what_went_wrong_how_its_clock_runs_and_its_joints_with_units() {
         status: 0,
     };
     let robot = with(Link { device: DeviceKind::Robot, latest: Some(Sample::Robot(robot)), ..line(20_000) });
-    for words in ["robot live", "bend 5", "−5.5°", "120.0 rpm", "angles commanded, not sensed"] {
+    for words in ["robot live", "bend 5", "−5.5°", "120 rpm", "angles commanded, not sensed"] {
         assert!(robot.contains(words), "{words}: {robot}");
     }
 }
@@ -132,6 +133,13 @@ fn a_refused_pair_shows_its_reason_and_what_to_do_and_no_drr() {
         assert!(seen.contains(words), "{words}: {seen}");
     }
     assert!(!seen.contains("ACCEPTED") && seen.contains("not known"), "{seen}");
+    // What scripts go by, and what is for a command line, is not for a window; what to do is said once.
+    for words in ["too_few_shadows", "--bead-radius", "open the collimator"] {
+        assert!(!seen.contains(words), "{words}: {seen}");
+    }
+    let mut untold = refused(7);
+    untold.remedy = None;
+    assert!(texts(board(vec![untold])).contains("open the collimator"), "the control: nobody else says what to do");
 }
 
 #[test]

@@ -1,116 +1,28 @@
 //! What a person should see right now: the latest state, published by the session, drawn by the window.
 
-use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use super::album::{Album, Key, Leaving};
+pub use super::at_exposure::AtExposure;
 use super::bell::Bell;
 pub use super::bell::LEAST_BETWEEN;
+pub use super::board_state::{BoardState, PictureMemory};
 pub use super::link_view::{Link, STALE_AFTER_US};
 pub use super::pair_marks::{BeadMark, LandmarkMark, PairMarks, RobotMark};
 pub use super::pair_pictures::PairPictures;
 pub use super::pair_view::PairView;
 pub use super::phase::Phase;
-
-/// Everything at once.
-#[derive(Clone, Debug, Default)]
-pub struct BoardState {
-    /// Serial lines.
-    pub links: Vec<Link>,
-    /// Pairs in order of their frames' arrival.
-    pub pairs: Vec<Arc<PairView>>,
-    /// Frames seen so far.
-    pub frames_seen: usize,
-    /// Files that were seen and not read yet.
-    pub frames_unread: usize,
-    /// Frames that wait to be registered, rendered or compared.
-    pub frames_waiting: usize,
-    /// How far those have come of which it is known, and pairs whose null is made, by the frame's number.
-    pub phases: BTreeMap<u32, Phase>,
-    /// What persons noted, by the frame's number.
-    pub notes: BTreeMap<u32, String>,
-    /// What takes unusually long right now, in sentences.
-    pub slow: Vec<String>,
-    /// Age of the oldest message that is not in the log's file yet, ms.
-    pub recorder_behind_ms: f64,
-    /// Why nothing is recorded any more.
-    pub recorder_failure: Option<String>,
-    /// Host time of this state; in a replay the time of the log.
-    pub now_us: i64,
-    /// What is shown was recorded: ages are those of the log.
-    pub replayed: bool,
-    /// The session has ended.
-    pub finished: bool,
-    /// Somebody looks: pictures of pairs are made for the eye.
-    pub watched: bool,
-    /// The beads of the exposures shown may be edited: the session takes [`super::edit::EditRequest`]s.
-    pub editable: bool,
-    /// Warnings by kind.
-    pub warnings: Vec<(String, u64)>,
-}
-
-/// Pairs whose pictures are kept whole; of older ones a small picture is kept.
-const WHOLE_PICTURES: usize = 16;
-
-impl BoardState {
-    /// Shows a pair, or what is new about it; memory stays bounded.
-    pub fn show(&mut self, mut pair: PairView) {
-        // Whichever of the two comes first: the newest frame is developed first.
-        if let Some(by) = self.pairs.iter().find(|other| other.replaces == Some(pair.number())) {
-            Arc::make_mut(&mut pair.pair).replace_by(by.number());
-        }
-        if let Some(before) = self.pairs.iter_mut().find(|other| pair.replaces == Some(other.number())) {
-            Arc::make_mut(&mut Arc::make_mut(before).pair).replace_by(pair.number());
-        }
-        match self.pairs.iter_mut().find(|known| known.number() == pair.number()) {
-            // The null of the pose before came late: an edit was quicker.
-            Some(slot) if slot.development > pair.development => {}
-            Some(slot) => {
-                // It was shown when it was shown first; another pose is another showing.
-                if slot.development == pair.development {
-                    pair.latency_ms = slot.latency_ms;
-                }
-                *slot = Arc::new(pair);
-            }
-            None => {
-                let at = self.pairs.partition_point(|known| known.number() < pair.number());
-                self.pairs.insert(at, Arc::new(pair));
-            }
-        }
-        let old = self.pairs.len().saturating_sub(WHOLE_PICTURES);
-        // Any of the older ones may have come just now: the newest frame is developed first, and nulls come late.
-        for pair in self.pairs[..old].iter_mut().filter(|pair| !pair.pictures.is_small()) {
-            Arc::make_mut(pair).shrink();
-        }
-    }
-
-    /// What is drawn anew when it changes.
-    fn telling(&self) -> Telling {
-        Telling {
-            frames: [self.frames_seen, self.frames_unread, self.frames_waiting, self.warnings.len()],
-            said: [self.recorder_failure.is_some(), self.finished],
-            slow: self.slow.clone(),
-            phases: self.phases.clone(),
-            lines: self.links.iter().map(|link| (link.silent_steps(self.now_us), link.moves)).collect(),
-        }
-    }
-}
-
-/// See [`BoardState::telling`].
-#[derive(PartialEq)]
-struct Telling {
-    frames: [usize; 4],
-    said: [bool; 2],
-    slow: Vec<String>,
-    phases: BTreeMap<u32, Phase>,
-    lines: Vec<(Option<i64>, u64)>,
-}
+use crate::reporter::Reporter;
 
 /// A shared slot with the latest state; cheap to clone.
 #[derive(Clone, Default)]
 pub struct Board {
     state: Arc<Mutex<BoardState>>,
     bell: Arc<Bell>,
+    /// Where whole pictures go; absent where nobody said in which folder.
+    album: Arc<Mutex<Option<Album>>>,
 }
 
 impl std::fmt::Debug for Board {
@@ -148,7 +60,53 @@ impl Board {
     pub fn show(&self, picture: impl FnOnce() -> PairView) {
         if self.read(|state| state.watched) {
             let picture = picture();
-            self.update(|state| state.show(picture));
+            let mut leaving = Vec::new();
+            self.update(|state| leaving = state.show(picture));
+            self.put_away(leaving);
+        }
+    }
+
+    /// From now on whole pictures for which there is no room in memory go to the disk of `folder`, and come back when somebody looks at them.
+    /// Where nobody looks at the board at all, nothing is done.
+    pub fn keep_pictures_in(&self, folder: &Path, reporter: &Reporter) {
+        if !self.read(|state| state.watched) {
+            return;
+        }
+        // The album lives as long as somebody has the board, and its thread is nobody.
+        let (state, bell, album) = (Arc::clone(&self.state), Arc::clone(&self.bell), Arc::downgrade(&self.album));
+        let deliver = move |key: Key, pictures: Option<PairPictures>| {
+            if let Some(album) = album.upgrade() {
+                let board = Self { state: Arc::clone(&state), bell: Arc::clone(&bell), album };
+                let mut leaving = Vec::new();
+                board.update(|state| leaving = state.take_back(key, pictures));
+                board.put_away(leaving);
+            }
+        };
+        match Album::start(folder, reporter, deliver) {
+            Ok(album) => *self.album() = Some(album),
+            Err(error) => reporter.note(format!("the window shows older exposures small: the system gives no thread ({error})")),
+        }
+    }
+
+    /// Somebody looks at this exposure: its whole pictures stay, or are fetched. To be said with each look.
+    pub fn look_at(&self, number: u32) {
+        let wanted = self.lock().look_at(number);
+        let album = self.album();
+        if let (Some(key), Some(album)) = (wanted, album.as_ref()) {
+            album.fetch(key);
+        }
+    }
+
+    /// What the album does not take is in the log alone.
+    fn put_away(&self, leaving: Vec<Leaving>) {
+        for leaving in leaving {
+            let number = leaving.key.0;
+            // It may be written before this is done.
+            self.lock().away.insert(number);
+            let is_taken = self.album().as_ref().is_some_and(|album| album.put(leaving));
+            if !is_taken {
+                self.update(|state| _ = state.away.remove(&number));
+            }
         }
     }
 
@@ -178,58 +136,19 @@ impl Board {
     fn lock(&self) -> MutexGuard<'_, BoardState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn album(&self) -> MutexGuard<'_, Option<Album>> {
+        self.album.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::board_state::example::{pair, room_for, whole};
     use super::*;
-    use crate::acquire::{Domain, Frame};
-    use crate::image::Image;
-    use crate::mask::Masks;
-    use crate::report::{Pair, PairStatus};
-
-    fn pair(number: u32) -> PairView {
-        let frame = Frame::from_pixels("a", Image::filled(620, 4, 1.0f32), Domain::Linear).expect("a frame");
-        PairView {
-            pair: Arc::new(Pair { number, ..Pair::unmatched("a", "") }),
-            pose: Arc::default(),
-            time_us: 0,
-            development: 0,
-            replaces: None,
-            complete: true,
-            mm_per_px: None,
-            remedy: None,
-            marks: Arc::default(),
-            pictures: Arc::new(PairPictures::alone(&frame, &Masks::default())),
-            latency_ms: Some(f64::from(number)),
-        }
-    }
-
-    /// A torn picture stayed accepted in the window when the whole one had taken its exposure.
-    #[test]
-    fn a_picture_that_was_not_finished_is_taken_back_whichever_comes_first() {
-        let torn = || PairView { pair: Arc::new(Pair { status: PairStatus::Accepted, ..(*pair(1).pair).clone() }), ..pair(1) };
-        let whole = || PairView { replaces: Some(1), ..pair(2) };
-        for order in [[torn(), whole()], [whole(), torn()]] {
-            let mut state = BoardState::default();
-            order.into_iter().for_each(|view| state.show(view));
-            assert_eq!(
-                state.pairs.iter().map(|view| view.pair.status).collect::<Vec<_>>(),
-                [PairStatus::Refused, PairStatus::NoPose]
-            );
-        }
-    }
 
     #[test]
-    fn few_pictures_stay_whole_in_whatever_order_pairs_and_nulls_come() {
-        let mut state = BoardState::default();
-        // The newest first, then each once more with its null.
-        (1..=60).rev().chain(1..=60).for_each(|number| state.show(pair(number)));
-        let whole = state.pairs.iter().filter(|pair| !pair.pictures.is_small()).count();
-        assert_eq!((state.pairs.len(), whole), (60, WHOLE_PICTURES));
-        assert!(state.pairs.iter().all(|pair| pair.pictures.size_px == [620, 4]), "marks keep their places");
-
-        // Nobody looks: no picture is made.
+    fn no_picture_is_made_where_nobody_looks() {
         let board = Board::default();
         board.show(|| unreachable!("nobody looks"));
         board.update(|state| state.watched = true);
@@ -237,16 +156,40 @@ mod tests {
         assert_eq!(board.read(|state| state.pairs.len()), 1);
     }
 
+    /// Whoever scrubbed back saw 155 pixels across, for good.
     #[test]
-    fn a_pair_was_shown_when_it_was_shown_first_unless_it_was_posed_again() {
-        let mut state = BoardState::default();
-        state.show(pair(3));
-        state.show(PairView { latency_ms: Some(9e3), ..pair(3) });
-        assert_eq!(state.pairs[0].latency_ms, Some(3.0));
-        state.show(PairView { latency_ms: Some(9e3), development: 1, ..pair(3) });
-        assert_eq!(state.pairs[0].latency_ms, Some(9e3));
-        state.show(pair(3));
-        assert_eq!(state.pairs[0].development, 1, "what was said before does not come back");
+    fn whole_pictures_that_left_the_memory_are_there_again_when_somebody_looks() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let board = Board::default();
+        board.keep_pictures_in(folder.path(), &Reporter::silent());
+        assert!(board.album().is_none(), "nobody looks at all");
+        board.update(|state| *state = BoardState { watched: true, ..room_for(3) });
+        board.keep_pictures_in(folder.path(), &Reporter::silent());
+        // A disk that is slower than this would leave the rest to the log.
+        let kept = |number: u32| {
+            board.show(|| pair(number));
+            eventually(|| board.album().as_ref().is_some_and(|album| album.is_idle()))
+        };
+        assert!((1..=20).all(kept), "the disk does not come after");
+        assert_eq!(board.read(whole), [18, 19, 20]);
+        assert_eq!(board.read(|state| state.away.len()), 17);
+        for number in [4, 9, 4] {
+            board.look_at(number);
+            let is_back = || board.read(|state| whole(state).contains(&number));
+            assert!(eventually(is_back), "{number} does not come back: {:?}", board.read(whole));
+            let (shown, expected) = (board.read(|state| Arc::clone(&state.pairs[number as usize - 1])), pair(number));
+            assert_eq!(shown.pictures.acquired(), expected.pictures.acquired());
+            assert_ne!(shown.pictures.acquired(), pair(number + 1).pictures.acquired(), "the control");
+            assert_eq!(board.read(|state| whole(state).len()), 3, "memory does not grow");
+        }
+        assert!(board.read(|state| whole(state).contains(&9)), "it was looked at just now");
+    }
+
+    fn eventually(is_so: impl Fn() -> bool) -> bool {
+        (0..1000).any(|_| {
+            std::thread::sleep(Duration::from_millis(10));
+            is_so()
+        })
     }
 
     #[test]

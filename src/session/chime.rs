@@ -1,5 +1,5 @@
-//! A sound for each exposure, for whoever has no eye for the screen: one high tone for an accepted pose, two for one to beware of, a low
-//! one where there is none. A player of the system makes it audible; where there is none, or it fails, that is said once.
+//! A sound for each exposure, for whoever has no eye for the screen: one high tone for an accepted pose, two for one to beware of, telemetry's
+//! included, a low one where there is none. A player of the system makes it audible; where there is none, or it fails, that is said once.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -29,10 +29,11 @@ type Tones = &'static [(f64, f64)];
 fn tones(standing: Standing) -> (&'static str, Tones) {
     match standing {
         Standing::Accepted => ("accepted", &[(880.0, 0.15)]),
-        Standing::ImageDisagrees | Standing::TelemetryDisagrees | Standing::InDoubt => {
+        // There is a DRR beside the frame, at a pose that no bead has confirmed.
+        Standing::ImageDisagrees | Standing::TelemetryDisagrees | Standing::InDoubt | Standing::Telemetry => {
             ("beware", &[(660.0, 0.12), (0.0, 0.08), (660.0, 0.12)])
         }
-        Standing::Telemetry | Standing::Refused | Standing::NoPose => ("refused", &[(220.0, 0.45)]),
+        Standing::Refused | Standing::NoPose => ("refused", &[(220.0, 0.45)]),
     }
 }
 
@@ -140,6 +141,16 @@ fn play(path: &std::path::Path, players: &[Vec<PathBuf>]) -> Result<(), String> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A pose from telemetry is amber on the screen and sounded like a refusal.
+    #[test]
+    fn a_pose_from_telemetry_sounds_like_one_to_beware_of() {
+        let heard = |standing: Standing| wav(tones(standing).1);
+        assert_eq!(heard(Standing::Telemetry), heard(Standing::InDoubt));
+        for other in [Standing::Refused, Standing::NoPose, Standing::Accepted] {
+            assert_ne!(heard(Standing::Telemetry), heard(other), "{other:?}");
+        }
+    }
 
     #[test]
     fn each_verdict_has_a_sound_of_its_own() {

@@ -11,7 +11,7 @@ use super::file::Setup;
 use super::pair_view::PairView;
 use super::posed::Posed;
 use crate::beads::BeadLayout;
-use crate::calibrate::robot::{RobotFitError, SeenTip, tip_in_frame};
+use crate::calibrate::robot::{RobotFitError, SeenRobot, SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
@@ -112,7 +112,8 @@ impl Bench {
         if !complete {
             pair.flags.push(UNCHECKED.to_owned());
         }
-        Developed { posed, pair, drr: Some((rendered, scene)), scatter, compared, strip, drr_sha256, complete }
+        let (drr, seen_robot) = (Some((rendered, scene)), None);
+        Developed { posed, pair, drr, scatter, compared, seen_robot, strip, drr_sha256, complete }
     }
 
     /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
@@ -183,20 +184,32 @@ impl Bench {
         pair.flags.push(words);
     }
 
-    /// Where the frame shows the drill's tip; a DRR that draws it elsewhere says so. Pictures of an intensifier are not measured: profiles
-    /// across the robot are those of the picture as it is acquired. False when `cancelled`, which is asked now and then, says so.
-    fn look_for_tip(&self, posed: &Posed, scene: &Scene, pair: &mut Pair, cancelled: &dyn Fn() -> bool) -> bool {
+    /// The robot where the frame shows it; a DRR that draws the drill's tip elsewhere says so. Pictures of an intensifier are not measured: profiles
+    /// across the robot are those of the picture as it is acquired.
+    ///
+    /// # Errors
+    /// When `cancelled`, which is asked now and then, says so.
+    fn look_for_robot(
+        &self,
+        posed: &Posed,
+        scene: &Scene,
+        pair: &mut Pair,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Option<SeenRobot>, RobotFitError> {
         // A robot that is drawn as in the scene file for want of its angles is nowhere in particular.
         let placeholder = posed.robot.is_none() && self.setup.robot.is_some();
         if scene.robot.is_none() || posed.intensifier.is_some() || placeholder {
-            return true;
+            return Ok(None);
         }
         let watch = Stopwatch::start();
-        match tip_in_frame(&posed.frame, &posed.masks, &posed.pose, scene, cancelled) {
-            Ok(tip) => pair.tip = tip,
-            Err(RobotFitError::Cancelled) => return false,
-            Err(error) => pair.flags.push(format!("the drill's tip was not looked for: {error}")),
-        }
+        let seen = match tip_in_frame(&posed.frame, &posed.masks, &posed.pose, scene, cancelled) {
+            Err(error) if !matches!(error, RobotFitError::Cancelled) => {
+                pair.flags.push(format!("the drill's tip was not looked for: {error}"));
+                None
+            }
+            found => found?,
+        };
+        pair.tip = seen.as_ref().map(|seen| seen.tip);
         pair.stages_ms.add("tip", watch.ms());
         if let Some(tip) = pair.tip.filter(SeenTip::is_elsewhere) {
             let words = format!("the drill's tip is seen {:.1} mm from where the DRR draws it", tip.length_mm);
@@ -208,7 +221,7 @@ impl Bench {
             self.reporter.warn(kind, format!("{}: {words}", posed.label()));
             pair.flags.push(words);
         }
-        true
+        Ok(seen)
     }
 
     /// The scene at the exposure: as the pose shows it, the robot bent as telemetry says. A body that the scene does not know stays as it was
@@ -287,9 +300,7 @@ impl Bench {
         }
         developed.pair.stages_ms.add("null", watch.ms());
         // Nothing is said of a null that is made once more.
-        if !self.look_for_tip(&developed.posed, &scene, &mut developed.pair, cancelled) {
-            return None;
-        }
+        developed.seen_robot = self.look_for_robot(&developed.posed, &scene, &mut developed.pair, cancelled).ok()?.map(Arc::new);
         if let Some(found) = &developed.pair.image_prefers {
             self.reporter.warn("image disagrees", format!("{}: {found}", developed.posed.label()));
         }
@@ -314,7 +325,8 @@ impl Bench {
         // What header and telemetry contradict each other in may well be why there is no pose.
         self.cross_check(&posed, &mut pair);
         let strip = Arc::new(draw(&posed, &pair, None, None, Some(reason)));
-        Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete: true }
+        let (drr, scatter, compared, seen_robot, drr_sha256) = (None, None, None, None, None);
+        Developed { posed, pair, drr, scatter, compared, seen_robot, strip, drr_sha256, complete: true }
     }
 }
 
@@ -341,8 +353,8 @@ pub(super) fn solved(posed: Posed) -> PairView {
         pair.flags.push("the DRR of this pose is being made".to_owned());
     }
     let strip = Arc::new(Image { width: 0, height: 0, pixels: Vec::new() });
-    let (drr, compared, scatter, drr_sha256) = (None, None, None, None);
-    Developed { posed: Arc::new(posed), pair, drr, scatter, compared, strip, drr_sha256, complete: false }.picture()
+    let (drr, compared, seen_robot, scatter, drr_sha256) = (None, None, None, None, None);
+    Developed { posed: Arc::new(posed), pair, drr, scatter, compared, seen_robot, strip, drr_sha256, complete: false }.picture()
 }
 
 /// The report's row of a posed frame, before anything is rendered.

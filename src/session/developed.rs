@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use super::at_exposure::AtExposure;
 use super::pair_marks::marks_of;
 use super::pair_pictures::PairPictures;
 use super::pair_view::PairView;
 use super::posed::Posed;
 use super::remedy::remedy;
+use crate::calibrate::robot::SeenRobot;
 use crate::compare::Compared;
 use crate::image::Image;
 use crate::render::{Rendered, Scatter};
@@ -29,6 +31,8 @@ pub struct Developed {
     pub(super) scatter: Option<Arc<Scatter>>,
     /// The compared images.
     pub compared: Option<Arc<Compared>>,
+    /// The robot as the frame shows it; it is looked for with the null.
+    pub seen_robot: Option<Arc<SeenRobot>>,
     /// The strip.
     pub strip: Arc<Image<[u8; 3]>>,
     /// SHA-256 of the DRR's pixels, little-endian f32, row by row.
@@ -110,6 +114,8 @@ impl Developed {
             mm_per_px: of_comparison.or_else(of_pose),
             remedy: remedy(posed, pair),
             marks: Arc::new(marks_of(posed, self.scene())),
+            seen_robot: self.seen_robot.clone(),
+            devices: Arc::new(AtExposure { joints: posed.joints, beam: posed.beam.clone(), robot: posed.robot.clone() }),
             pictures: Arc::new(pictures),
             latency_ms: None,
         }

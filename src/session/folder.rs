@@ -378,7 +378,8 @@ mod tests {
         let mut pair = Pair { number, ..Pair::unmatched("a", "") };
         (pair.status, pair.reason, pair.pose_source) = (PairStatus::Accepted, None, PoseSource::Beads);
         let (posed, strip) = (Arc::new(Posed::bare(number)), Arc::new(gray_strip(gray)));
-        Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete }
+        let (drr, scatter, compared, seen_robot, drr_sha256) = (None, None, None, None, None);
+        Developed { posed, pair, drr, scatter, compared, seen_robot, strip, drr_sha256, complete }
     }
 
     /// With its null, which leaves a doubt.

@@ -33,11 +33,13 @@ pub struct Link {
 
 /// Telemetry older than this is shown as stale.
 pub const STALE_AFTER_US: i64 = 500_000;
-/// The age of what is stale is shown anew this often.
-const SILENCE_STEP_US: i64 = 2_000_000;
-/// Angles and lengths that change by more than these are worth a look, and no more than one in so long is.
-const MOVE_DEG: f64 = 0.5;
-const MOVE_MM: f64 = 2.0;
+/// The age of what is stale is shown in steps of this.
+const SILENCE_STEP_US: i64 = 1_000_000;
+/// What changes by more than the last digit that is shown of it is worth a look, and no more than one in so long is.
+const MOVE_DEG: f64 = 0.1;
+const MOVE_MM: f64 = 0.1;
+const MOVE_KV: f64 = 0.1;
+const MOVE_RPM: f64 = 1.0;
 const LOOK_US: i64 = 1_000_000;
 /// Rates are means over at least this.
 const RATE_OVER_US: i64 = 1_000_000;
@@ -163,11 +165,14 @@ fn has_moved(before: &Sample, now: &Sample) -> bool {
             ];
             angles.iter().any(|(a, b)| apart(a.to_degrees(), b.to_degrees(), MOVE_DEG))
                 || lengths.iter().any(|(a, b)| apart(*a, *b, MOVE_MM))
+                || apart(before.tube_kvp, now.tube_kvp, MOVE_KV)
                 || (before.xray_on, before.exposure_counter, before.status) != (now.xray_on, now.exposure_counter, now.status)
         }
         (Sample::Robot(before), Sample::Robot(now)) => {
             let [(a, sensed_before), (b, sensed_now)] = [before, now].map(|sample| sample.control_angles_deg());
-            a.iter().zip(b).any(|(a, b)| apart(*a, b, MOVE_DEG)) || (sensed_before, before.status) != (sensed_now, now.status)
+            a.iter().zip(b).any(|(a, b)| apart(*a, b, MOVE_DEG))
+                || apart(before.drill_rpm, now.drill_rpm, MOVE_RPM)
+                || (sensed_before, before.status) != (sensed_now, now.status)
         }
         _ => true,
     }
@@ -177,7 +182,7 @@ fn has_moved(before: &Sample, now: &Sample) -> bool {
 mod tests {
     use super::*;
     use crate::geometry::CarmJoints;
-    use crate::telemetry::CarmSample;
+    use crate::telemetry::{CarmSample, RobotSample, Tendon};
 
     #[test]
     fn an_arm_at_rest_is_worth_one_look_and_one_that_moves_one_a_second() {
@@ -193,6 +198,50 @@ mod tests {
         };
         assert_eq!(looks(0, 0.0), 1);
         assert_eq!(looks(10_000, 5.0), 10);
+    }
+
+    /// An arm that crept by half a degree was shown where it had been, for as long as it liked.
+    #[test]
+    fn what_is_shown_to_a_tenth_is_not_off_by_more_for_longer_than_a_second() {
+        let creep: [(&str, fn(f64) -> Sample); 4] = [
+            ("orbital", |by| {
+                let joints = CarmJoints { orbital_rad: by.to_radians(), ..CarmJoints::ZERO };
+                Sample::Carm(CarmSample { joints, ..CarmSample::UNTOLD })
+            }),
+            ("lift", |by| {
+                Sample::Carm(CarmSample { joints: CarmJoints { lift_mm: by, ..CarmJoints::ZERO }, ..CarmSample::UNTOLD })
+            }),
+            ("tube", |by| Sample::Carm(CarmSample { tube_kvp: 90.0 + by, ..CarmSample::UNTOLD })),
+            ("bend", |by| Sample::Robot(robot(by))),
+        ];
+        for (what, at) in creep {
+            let mut readings = LinkReadings::default();
+            // A twentieth a second; every tenth of one, somebody may look.
+            let (mut shown, mut off_us) = (f64::NAN, 0);
+            for now_us in (0..30_000_000).step_by(100_000) {
+                let value = 0.05e-6 * now_us as f64;
+                if readings.is_worth_a_look(DeviceKind::Carm, &at(value), now_us) {
+                    shown = value;
+                }
+                off_us = if (value - shown).abs() > 0.1 + 1e-6 { off_us + 100_000 } else { 0 };
+                assert!(off_us <= 1_000_000, "{what}: {shown} for {value}");
+            }
+            assert!((shown - 1.5).abs() < 0.2, "{what}: {shown} at the end");
+        }
+    }
+
+    fn robot(bend_deg: f64) -> RobotSample {
+        let tendon = || Tendon { position_mm: 0.0, velocity_mm_per_s: 0.0, tension_n: 1.0, current_a: 0.1 };
+        RobotSample {
+            device_us: 0,
+            sequence: 0,
+            commanded_deg: [0.0; 5],
+            sensed_deg: Some([bend_deg, 0.0, 0.0, 0.0, 0.0]),
+            tendons: [tendon(), tendon()],
+            tracker_from_base: None,
+            drill_rpm: 0.0,
+            status: 0,
+        }
     }
 
     #[test]

@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
+use super::at_exposure::AtExposure;
 use super::pair_marks::PairMarks;
 use super::pair_pictures::PairPictures;
+use super::told_twice::is_of_telemetry;
+use crate::calibrate::robot::SeenRobot;
 use crate::pose::Pose;
 use crate::report::Pair;
 
@@ -28,6 +31,10 @@ pub struct PairView {
     pub remedy: Option<String>,
     /// What is drawn over the pictures.
     pub marks: Arc<PairMarks>,
+    /// The robot as the frame shows it; absent where it was not looked for, or not seen.
+    pub seen_robot: Option<Arc<SeenRobot>>,
+    /// What the devices said at the exposure.
+    pub devices: Arc<AtExposure>,
     /// The pictures.
     pub pictures: Arc<PairPictures>,
     /// From the exposure until it could be shown; `None` in a replay.
@@ -41,9 +48,30 @@ impl PairView {
         self.pair.number
     }
 
-    /// Leaves a small picture, and of the pose what is said in words.
-    pub(super) fn shrink(&mut self) {
-        self.pictures = Arc::new(self.pictures.small());
-        Arc::make_mut(&mut self.pose).shadows = Vec::new();
+    /// Whether its reason tells how far telemetry and beads are apart.
+    #[must_use]
+    pub fn is_reason_telemetry(&self) -> bool {
+        self.pair.reason.as_deref().is_some_and(is_of_telemetry)
+    }
+
+    /// What to beware of besides the reason. Sentences that tell the same in other words stand together, the first of them for all: that
+    /// telemetry and beads are apart is found by several checks.
+    #[must_use]
+    pub fn cautions(&self) -> Vec<Vec<&str>> {
+        let (of_telemetry, others): (Vec<&str>, Vec<&str>) = self.all_cautions().partition(|words| is_of_telemetry(words));
+        let together = Some(of_telemetry).filter(|words| !words.is_empty() && !self.is_reason_telemetry());
+        together.into_iter().chain(others.into_iter().map(|words| vec![words])).collect()
+    }
+
+    /// What tells in other words what its reason tells.
+    #[must_use]
+    pub fn said_otherwise(&self) -> Vec<&str> {
+        self.all_cautions().filter(|words| self.is_reason_telemetry() && is_of_telemetry(words)).collect()
+    }
+
+    fn all_cautions(&self) -> impl Iterator<Item = &str> {
+        let pair = &self.pair;
+        let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str);
+        pair.robot_words().into_iter().chain(others).filter(move |words| pair.reason.as_deref() != Some(*words))
     }
 }

@@ -94,6 +94,7 @@ pub fn run(
         reporter.warn(what, words);
     }
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
+    board.keep_pictures_in(&options.out, reporter);
     let broadcast = Broadcast::open(options.igtl.as_ref(), Whereabouts::new(&setup, workshop.robot()), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(Order::AsHandedIn, move |pair| pairs.send(pair).is_ok())?;

@@ -29,11 +29,13 @@ pub fn draw(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     let shown = state.shown(board).cloned();
     egui::Panel::left("told").frame(bare(8, 6)).resizable(false).exact_size(COLUMN).show(ui, |ui| {
         let pair = shown.as_deref();
+        // Of the newest exposure of a session that goes on, what stands now is worth more than what stood then.
+        let past = pair.filter(|_| state.selected.is_some() || board.finished);
         standing::show(ui, board, pair);
         ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             pose_pane::show(ui, pair);
             scores::show(ui, pair);
-            devices::show(ui, board);
+            devices::show(ui, board, past);
         });
     });
     egui::Panel::bottom("exposures").frame(bare(6, 4)).resizable(false).show(ui, |ui| {

@@ -1,6 +1,6 @@
 //! What is drawn over a frame: the figures of its marks, what a hand has chosen, a scale bar.
 
-use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, pos2, vec2};
+use eframe::egui::{Align2, Color32, Painter, Pos2, Rect, Shape, Stroke, pos2, vec2};
 
 use super::editing::names;
 use super::sight::Placed;
@@ -8,10 +8,16 @@ use super::state::{Mark, ViewState};
 use super::theme::{SMALL, TEXT, font, rgb};
 use crate::image::round_down;
 use crate::report::figures::{Figure, Form, GAP_PX, RADIUS_PX, Tells, arrow, ring_reach};
+use crate::report::{BeadMark, PairMarks};
 use crate::session::board::PairView;
 
 /// What a hand has chosen.
 const CHOSEN: Color32 = Color32::WHITE;
+/// The robot as the frame shows it; unlike telemetry's it is dashed, and can be seen on the robot's own white.
+const SEEN_ROBOT: Color32 = Color32::from_rgb(0xa5, 0x5f, 0xff);
+const DASH: (f32, f32) = (6.0, 4.0);
+/// Behind words.
+const BACKING: Color32 = Color32::from_black_alpha(170);
 /// Width of crosses.
 const THIN: f32 = 1.2;
 /// Width of arrows.
@@ -36,9 +42,48 @@ pub(super) fn chosen(painter: &Painter, placed: &Placed, pair: &PairView, state:
 
 /// Where P puts things, over the DRR.
 pub(super) fn predicted(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
-    let figures = pair.marks.figures();
-    let of_p = figures.iter().filter(|figure| matches!(figure.tells, Tells::Predicted | Tells::Robot));
-    of_p.filter(|figure| draws(state, figure.tells)).for_each(|figure| paint(painter, placed, figure));
+    // A DRR has no shadows that were found: names stand where P has them.
+    let by_p = |bead: &BeadMark| BeadMark { found_px: None, residual_px: None, ..bead.clone() };
+    let beads = pair.marks.beads.iter().map(by_p).collect();
+    let marks = PairMarks { beads, robot: pair.marks.robot.clone(), ..PairMarks::default() };
+    let figures = marks.figures();
+    figures.iter().filter(|figure| draws(state, figure.tells)).for_each(|figure| paint(painter, placed, figure));
+}
+
+/// The robot as the frame shows it, beside where telemetry has it.
+pub(super) fn seen_robot(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
+    let Some(tip) = pair.pair.tip.filter(|_| state.draws(Mark::Robot)) else { return };
+    if let Some(seen) = &pair.seen_robot {
+        let along: Vec<Pos2> = seen.centreline_px.iter().map(|at| placed.screen(*at)).collect();
+        painter.extend(Shape::dashed_line(&along, Stroke::new(ARROW, SEEN_ROBOT), DASH.0, DASH.1));
+    }
+    let (at, reach) = (placed.screen(tip.image_px), 6.0);
+    let corners = [vec2(0.0, -reach), vec2(reach, 0.0), vec2(0.0, reach), vec2(-reach, 0.0)].map(|off| at + off);
+    painter.add(Shape::closed_line(corners.to_vec(), Stroke::new(1.8, SEEN_ROBOT)));
+}
+
+/// What the lines along the robot mean, from `right_top` downwards, each in its colour behind a piece of its line.
+pub(super) fn robot_legend(painter: &Painter, right_top: Pos2, pair: &PairView, state: &ViewState) {
+    if !state.draws(Mark::Robot) {
+        return;
+    }
+    let drawn = pair.marks.figures().iter().find(|figure| figure.tells == Tells::Robot).map(|figure| rgb(figure.colour));
+    let drawn_as = if pair.pair.robot_source.as_deref() == Some("scene") { "as in the scene file" } else { "by telemetry" };
+    let seen = pair.pair.tip.map(|_| SEEN_ROBOT);
+    let rows = [(drawn, format!("robot {drawn_as}"), false), (seen, "robot as seen in the frame".to_owned(), true)];
+    let mut at = right_top;
+    for (colour, text, is_dashed) in rows {
+        let Some(colour) = colour else { continue };
+        let rect = words(painter, at, Align2::RIGHT_TOP, &text, colour);
+        let sample = [rect.left_center() - vec2(26.0, 0.0), rect.left_center() - vec2(5.0, 0.0)];
+        painter.rect_filled(Rect::from_two_pos(sample[0], sample[1]).expand(4.0), 3.0, BACKING);
+        if is_dashed {
+            painter.extend(Shape::dashed_line(&sample, Stroke::new(ARROW, colour), DASH.0, DASH.1));
+        } else {
+            painter.line_segment(sample, Stroke::new(ARROW, colour));
+        }
+        at.y = rect.bottom() + 3.0;
+    }
 }
 
 /// Whether figures that tell of this are drawn.
@@ -96,12 +141,15 @@ fn cross(painter: &Painter, at: Pos2, reach: f32, colour: Color32) {
     painter.line_segment([at - vec2(0.0, reach), at + vec2(0.0, reach)], stroke);
 }
 
-/// Words that can be read on any ground.
-pub(super) fn words(painter: &Painter, at: Pos2, align: Align2, text: &str, colour: Color32) {
-    for off in [vec2(1.0, 1.0), vec2(-1.0, 1.0), vec2(1.0, -1.0), vec2(-1.0, -1.0)] {
-        painter.text(at + off, align, text, font(SMALL), Color32::from_black_alpha(150));
+/// Words that can be read on any ground; where they are.
+pub(super) fn words(painter: &Painter, at: Pos2, align: Align2, text: &str, colour: Color32) -> Rect {
+    let galley = painter.layout_no_wrap(text.to_owned(), font(SMALL), colour);
+    let rect = align.anchor_size(at, galley.size());
+    if !text.is_empty() {
+        painter.rect_filled(rect.expand2(vec2(3.0, 0.0)), 3.0, BACKING);
+        painter.galley(rect.min, galley, colour);
     }
-    painter.text(at, align, text, font(SMALL), colour);
+    rect
 }
 
 /// A bar of a round length at the depth of interest, in the pane's lower left corner.

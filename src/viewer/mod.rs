@@ -3,6 +3,7 @@
 //! What a person edits goes the other way as plain requests ([`crate::session::edit::EditRequest`]), through a channel.
 
 mod theme;
+mod told;
 mod sight;
 mod player;
 mod picture_cache;
@@ -18,6 +19,7 @@ mod standing;
 mod devices;
 mod pose_pane;
 mod scores;
+mod time_axis;
 mod timeline;
 mod toolbar;
 mod layout;

@@ -12,9 +12,9 @@ use super::marks;
 use super::picture_cache::Picture;
 use super::sight::Placed;
 use super::state::{Mark, Overlay, ViewState};
-use super::theme::{BODY, DIM, EDGE, SMALL, TEXT, WELL, font};
+use super::theme::{BODY, CAUTION, DIM, EDGE, TEXT, WELL, font};
 use crate::report::figures::STRETCH;
-use crate::report::{NOT_COMPARABLE, diverging, short};
+use crate::report::{NOT_COMPARABLE, PoseSource, diverging, short};
 use crate::session::board::{BoardState, PairView};
 
 /// How often the blinking picture changes, a second.
@@ -23,6 +23,8 @@ const BLINKS_HZ: f64 = 2.0;
 const SQUARES: usize = 8;
 /// Points of the screen within which a click means a bead.
 const REACH_POINTS: f32 = 18.0;
+/// Height of a line of a legend.
+const LINE_POINTS: f32 = 14.0;
 /// The whole range of gray is moved, or doubled, by dragging so many points.
 const WINDOW_POINTS: f64 = 300.0;
 
@@ -42,18 +44,16 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     for (pane, rect) in panes(area, aspect, state.arrangement) {
         let response = ui.interact(rect, ui.scope_id().with(format!("{pane:?}")), Sense::click_and_drag());
         // What eyes see is also said, for those who are read to and for tests.
-        response.widget_info(|| WidgetInfo::labeled(Role::Image, true, said(pane, &pair, state)));
+        response.widget_info(|| WidgetInfo::labeled(Role::Image, true, said(pane, board, &pair, state)));
         let placed = state.sight.place(rect, size_px);
         if !edit(ui, pane, &response, &placed, &pair, state) {
             steer(ui, &response, &placed, &pair, state);
         }
         let placed = state.sight.place(rect, size_px);
-        draw(ui, pane, &placed, &pair, state);
+        let cursor = state.cursor_px.filter(|_| !response.hovered()).map(|at| placed.screen(at));
+        draw(ui, pane, &placed, (board, &pair), state, cursor);
         if let Some(at) = response.hover_pos() {
             under = Some(placed.image(at));
-        }
-        if let Some(at) = state.cursor_px.filter(|_| !response.hovered()) {
-            crosshair(&ui.painter_at(placed.seen()), placed.screen(at));
         }
     }
     ui.advance_cursor_after_rect(area);
@@ -75,19 +75,37 @@ fn title(pane: Pane, state: &ViewState) -> String {
 }
 
 /// Why a pane is empty.
-fn empty(pane: Pane, pair: &PairView) -> Option<&'static str> {
+fn empty(pane: Pane, pair: &PairView) -> Option<String> {
+    let why = match (pair.pair.pose_source, pair.complete) {
+        (PoseSource::None, _) => "the frame has no pose to render it at",
+        (_, false) => "it is being made",
+        (_, true) => "none could be made or compared, see what to beware of",
+    };
     match (pane, pair.pictures.simulated()) {
         (Pane::Acquired, _) => None,
-        (Pane::Difference, Some(_)) if !pair.pictures.difference.is_some_and(|scale| scale.comparable) => Some(NOT_COMPARABLE),
+        (Pane::Difference, Some(_)) if !pair.pictures.difference.is_some_and(|scale| scale.comparable) => {
+            Some(NOT_COMPARABLE.to_owned())
+        }
         (_, Some(_)) => None,
-        (Pane::Drr, None) => Some("no matched DRR"),
-        (_, None) => Some("nothing to lay beside the frame"),
+        (Pane::Drr, None) => Some(format!("no matched DRR: {why}")),
+        (Pane::Difference, None) => Some(format!("no difference without a DRR: {why}")),
+        (Pane::Overlay, None) => Some(format!("no DRR to lay over the frame: {why}")),
     }
 }
 
-fn said(pane: Pane, pair: &PairView, state: &ViewState) -> String {
-    let words = empty(pane, pair).map(|words| format!(": {words}")).unwrap_or_default();
-    format!("{}{words}", title(pane, state))
+/// A larger share of the frame that is dark in the difference is said to be.
+const DARK_SHARE: f64 = 0.05;
+
+/// Why much of the difference is dark.
+fn dark(pair: &PairView) -> Option<String> {
+    let masks = pair.pair.masks.as_ref().filter(|masks| masks.masked >= DARK_SHARE)?;
+    let most = masks.causes.iter().max_by(|(_, a), (_, b)| a.total_cmp(b));
+    let why = most.map(|(cause, share)| format!(", most of it {} ({:.0} %)", cause.words(), 100.0 * share)).unwrap_or_default();
+    Some(format!("dark: left out, {:.0} %{why}", 100.0 * masks.masked))
+}
+
+fn said(pane: Pane, board: &BoardState, pair: &PairView, state: &ViewState) -> String {
+    [Some(title(pane, state)), empty(pane, pair), small(board, pair)].into_iter().flatten().collect::<Vec<_>>().join(": ")
 }
 
 /// What the mouse does in a pane, to all panes.
@@ -141,12 +159,19 @@ fn in_px(points: Vec2, placed: &Placed) -> [f64; 2] {
     [points.x, points.y].map(|points| f64::from(points / placed.scale))
 }
 
-fn draw(ui: &Ui, pane: Pane, placed: &Placed, pair: &PairView, state: &mut ViewState) {
+fn draw(
+    ui: &Ui,
+    pane: Pane,
+    placed: &Placed,
+    (board, pair): (&BoardState, &PairView),
+    state: &mut ViewState,
+    cursor: Option<Pos2>,
+) {
     let painter = ui.painter_at(placed.pane);
     painter.rect_filled(placed.pane, 2.0, WELL);
     if let Some(words) = empty(pane, pair) {
-        let centre = placed.pane.center();
-        painter.text(centre, Align2::CENTER_CENTER, words, font(BODY), DIM);
+        let galley = painter.layout(words, font(BODY), DIM, placed.pane.width() - 20.0);
+        painter.galley(placed.pane.center() - 0.5 * galley.size(), galley, DIM);
     } else {
         let context = ui.ctx();
         match pane {
@@ -162,18 +187,31 @@ fn draw(ui: &Ui, pane: Pane, placed: &Placed, pair: &PairView, state: &mut ViewS
         match pane {
             Pane::Acquired | Pane::Overlay => {
                 marks::all(&within, placed, pair, state);
+                marks::seen_robot(&within, placed, pair, state);
                 marks::chosen(&within, placed, pair, state);
             }
             Pane::Drr => marks::predicted(&within, placed, pair, state),
             Pane::Difference => {}
         }
+        cursor.into_iter().for_each(|at| crosshair(&within, at, &legends(placed)));
         if let Some(mm_per_px) = pair.mm_per_px {
             marks::scale_bar(&within, placed, mm_per_px);
         }
         legend(&within, pane, placed, pair, state);
     }
-    let corner = placed.pane.left_top() + vec2(7.0, 5.0);
-    marks::words(&painter, corner, Align2::LEFT_TOP, &title(pane, state), TEXT);
+    let mut corner = placed.pane.left_top() + vec2(7.0, 5.0);
+    let is_dark = (pane == Pane::Difference && empty(pane, pair).is_none()).then(|| dark(pair)).flatten();
+    let lines =
+        [Some((title(pane, state), TEXT)), is_dark.map(|words| (words, DIM)), small(board, pair).map(|words| (words, CAUTION))];
+    for (line, colour) in lines.into_iter().flatten() {
+        corner.y = marks::words(&painter, corner, Align2::LEFT_TOP, &line, colour).bottom() + 3.0;
+    }
+}
+
+/// That the pictures are small ones, and where the whole ones are.
+fn small(board: &BoardState, pair: &PairView) -> Option<String> {
+    let where_they_are = if board.away.contains(&pair.number()) { "loading" } else { "the log has it" };
+    pair.pictures.is_small().then(|| format!("small picture: {where_they_are}"))
 }
 
 fn paint(painter: &Painter, placed: &Placed, texture: Option<TextureHandle>, tint: Color32) {
@@ -219,11 +257,26 @@ fn overlay(ui: &Ui, painter: &Painter, placed: &Placed, state: &mut ViewState) {
     }
 }
 
-fn crosshair(painter: &Painter, at: Pos2) {
+/// Where a pane has words in its corners.
+fn legends(placed: &Placed) -> [Rect; 4] {
+    let (seen, pane) = (placed.seen(), placed.pane);
+    let title = Rect::from_min_size(pane.left_top(), vec2(0.45 * pane.width(), 42.0));
+    let marks = Rect::from_min_max(pos2(seen.right() - 235.0, seen.top()), pos2(seen.right(), seen.top() + 60.0));
+    let colours = Rect::from_min_max(pos2(seen.right() - 140.0, seen.bottom() - 50.0), seen.max);
+    let scale =
+        Rect::from_min_max(pos2(seen.left(), seen.bottom() - 36.0), pos2(seen.left() + 0.32 * seen.width(), seen.bottom()));
+    [title, marks, colours, scale]
+}
+
+/// Where the cursor is in another pane; it leaves out what would lie over words.
+fn crosshair(painter: &Painter, at: Pos2, legends: &[Rect]) {
     let stroke = Stroke::new(1.0, Color32::from_white_alpha(110));
-    for (near, far) in [(5.0, 16.0), (-5.0, -16.0)] {
-        painter.line_segment([at + vec2(near, 0.0), at + vec2(far, 0.0)], stroke);
-        painter.line_segment([at + vec2(0.0, near), at + vec2(0.0, far)], stroke);
+    for towards in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
+        let ends = [at + 5.0 * towards, at + 16.0 * towards];
+        let arm = Rect::from_two_pos(ends[0], ends[1]);
+        if !legends.iter().any(|legend| legend.intersects(arm)) {
+            painter.line_segment(ends, stroke);
+        }
     }
 }
 
@@ -267,10 +320,14 @@ fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state
         (Pane::Difference | Pane::Acquired | Pane::Drr, _) => pair.pictures.unit.clone(),
         (Pane::Overlay, _) => String::new(),
     };
-    marks::words(painter, bar.center_top() - vec2(0.0, 2.0 + SMALL + 2.0), Align2::CENTER_BOTTOM, &unit, TEXT);
+    marks::words(painter, bar.center_top() - vec2(0.0, 2.0 + LINE_POINTS + 2.0), Align2::CENTER_BOTTOM, &unit, TEXT);
+    let mut corner = seen.right_top() + vec2(-7.0, 5.0);
     let enlarged = [Mark::Residuals, Mark::Landmarks].into_iter().any(|mark| state.draws(mark));
     if pane == Pane::Acquired && enlarged && !(pair.marks.beads.is_empty() && pair.marks.landmarks.is_empty()) {
         let words = format!("residuals and uncertainties {STRETCH:.0}×");
-        marks::words(painter, seen.right_top() + vec2(-7.0, 5.0), Align2::RIGHT_TOP, &words, TEXT);
+        corner.y = marks::words(painter, corner, Align2::RIGHT_TOP, &words, TEXT).bottom() + 3.0;
+    }
+    if pane == Pane::Acquired {
+        marks::robot_legend(painter, corner, pair, state);
     }
 }

@@ -3,6 +3,7 @@
 use eframe::egui::{self, RichText, Ui};
 
 use super::theme::{CAUTION, SMALL, TEXT, dim, title};
+use super::told::{count, signed};
 use crate::pose::{Covariance, UnseenBy};
 use crate::report::PoseSource;
 use crate::session::board::PairView;
@@ -24,7 +25,7 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
     };
     let used = pose.beads.iter().filter(|bead| bead.used).count();
     let beads = pose.beads.iter().filter(|bead| !bead.check).count();
-    row(ui, "pose", &format!("{source}; {used} of {beads} beads used, {} shadows", pose.detections));
+    row(ui, "pose", &format!("{source}; {used} of {} used, {}", count(beads, "bead"), count(pose.detections, "shadow")));
     if let Some(rms_px) = pose.rms_px {
         row(ui, "rms", &in_px_and_mm(rms_px, pose.rms_mm));
     }
@@ -35,25 +36,23 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
         };
         row(ui, by, &in_px_and_mm(unseen.rms_px, Some(unseen.rms_mm)));
     }
-    if let Some(innovation) = &pair.innovation {
+    // Where the two disagree, that is the reason that stands above.
+    if let Some(innovation) = pair.innovation.as_ref().filter(|_| !view.is_reason_telemetry()) {
         let mm = innovation.shift_mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
         row(ui, "telemetry", &format!("{mm:.1} mm and {:.1}° away", innovation.turn_deg));
     }
     if let Some(tip) = &pair.tip {
         let ([u, v], sigma_mm) = (tip.off_mm, tip.sigma_mm[0].max(tip.sigma_mm[1]));
-        row(ui, "drill tip", &format!("seen {u:+.1}, {v:+.1} ± {sigma_mm:.1} mm off").replace('-', "−"));
+        row(ui, "drill tip", &format!("seen {}, {} ± {sigma_mm:.1} mm off", signed(u, 1), signed(v, 1)));
     }
     uncertainty(ui, view);
-    // The reason stands above already.
-    let is_said = |words: &str| pair.reason.as_deref() == Some(words);
-    let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str).filter(|words| !is_said(words));
-    let words: Vec<&str> = pair.robot_words().into_iter().chain(others).collect();
-    for flag in words.iter().take(FLAGS) {
-        ui.add(egui::Label::new(RichText::new(*flag).size(SMALL).color(CAUTION)).truncate()).on_hover_text(*flag);
+    let words = view.cautions();
+    for same in words.iter().take(FLAGS) {
+        ui.add(egui::Label::new(RichText::new(same[0]).size(SMALL).color(CAUTION)).truncate()).on_hover_text(same.join("\n"));
     }
     if words.len() > FLAGS {
         let more = &words[FLAGS..];
-        ui.label(dim(format!("and {} more to beware of", more.len()))).on_hover_text(more.join("\n"));
+        ui.label(dim(format!("and {} more to beware of", more.len()))).on_hover_text(more.concat().join("\n"));
     }
 }
 

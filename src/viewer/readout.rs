@@ -15,6 +15,11 @@ pub(super) fn under_cursor(pair: &PairView, [u, v]: [f64; 2]) -> Option<String> 
         let from_middle = |at: f64, side: f64| short((at - 0.5 * (side - 1.0)) * mm, 10.0);
         parts.push(format!("{}, {} mm from the middle", from_middle(u, width), from_middle(v, height)));
     }
+    if pictures.is_small() {
+        // What it shows there is no pixel's value.
+        parts.push("small picture, no values".to_owned());
+        return Some(parts.join("  ·  "));
+    }
     let acquired = pictures.acquired();
     // A picture may be smaller than its frame.
     let share = [(u + 0.5) / width, (v + 0.5) / height];

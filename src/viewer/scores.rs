@@ -3,6 +3,7 @@
 use eframe::egui::{Align2, Color32, Rect, RichText, Role, Sense, Stroke, Ui, WidgetInfo, pos2, vec2};
 
 use super::theme::{CAUTION, DIM, GOOD, LINE, SMALL, TEXT, WELL, dim, font, title};
+use super::told::fixed;
 use crate::compare::{NULL_SCORES, NullScore};
 use crate::report::Pair;
 use crate::session::board::PairView;
@@ -52,7 +53,7 @@ fn score(ui: &mut Ui, pair: &Pair, shown: &Shown) {
     let value = pair.scores.get(shown.name);
     let null = pair.null.get(shown.null);
     let unit = if shown.name.ends_with("_mm") { " mm" } else { "" };
-    let words = value.map_or_else(|| "not known".to_owned(), |value| format!("{value:.2}{unit}").replace('-', "−"));
+    let words = value.map_or_else(|| "not known".to_owned(), |value| format!("{}{unit}", fixed(value, 2)));
     let discriminates = null.is_none_or(|null| null.discriminating);
     let response = ui
         .horizontal(|ui| {

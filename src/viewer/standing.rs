@@ -3,6 +3,7 @@
 use eframe::egui::{self, Color32, RichText, Ui};
 
 use super::theme::{BAD, BODY, CAUTION, DIM, INK, LINE, SMALL, TEXT, font, of_standing};
+use super::told::{count, reason};
 use crate::session::board::{BoardState, PairView};
 use crate::session::edit::again;
 
@@ -41,12 +42,14 @@ fn of_pair(ui: &mut Ui, board: &BoardState, pair: &PairView) {
     if let Some(edited) = &pair.pair.edited {
         ui.label(RichText::new(edited.to_string()).size(BODY).color(CAUTION));
     }
-    let reason = pair.pair.reason.as_deref().unwrap_or("");
-    if !reason.is_empty() {
+    let words = reason(pair);
+    if !words.is_empty() {
         let colour = if pair.pair.is_from_beads() { CAUTION } else { of_standing(standing) };
-        let shown: String = reason.chars().take(REASON_CHARS).collect();
-        let more = if shown.len() < reason.len() { " …" } else { "" };
-        ui.label(RichText::new(format!("{shown}{more}")).size(BODY).color(colour)).on_hover_text(reason);
+        let shown: String = words.chars().take(REASON_CHARS).collect();
+        let more = if shown.len() < words.len() { " …" } else { "" };
+        // As scripts and the report have it, and how else the same is told.
+        let whole: Vec<&str> = pair.pair.reason.as_deref().into_iter().chain(pair.said_otherwise()).collect();
+        ui.label(RichText::new(format!("{shown}{more}")).size(BODY).color(colour)).on_hover_text(whole.join("\n"));
     }
     if let Some(remedy) = &pair.remedy {
         ui.label(RichText::new(format!("What to do: {remedy}")).size(BODY).color(TEXT));
@@ -108,7 +111,8 @@ pub(super) fn backlog(ui: &mut Ui, board: &BoardState, pair: Option<&PairView>) 
             pair.map(|pair| pair.pair.stages_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.0} ms")).collect::<Vec<_>>());
         let colour = if late.is_some_and(|ms| ms > 2_000.0) { CAUTION } else { DIM };
         ui.label(RichText::new(words).size(SMALL).color(colour)).on_hover_text(hover.unwrap_or_default().join("\n"));
-        ui.label(RichText::new(format!("{} frames, {} shown", board.frames_seen, board.pairs.len())).size(SMALL).color(DIM));
+        let frames = format!("{}, {} shown", count(board.frames_seen, "frame"), board.pairs.len());
+        ui.label(RichText::new(frames).size(SMALL).color(DIM));
         if !board.replayed {
             let behind_ms = board.recorder_behind_ms;
             let colour = if behind_ms > 1_000.0 { CAUTION } else { DIM };

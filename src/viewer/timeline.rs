@@ -1,5 +1,5 @@
-//! The exposures in a row, each in the colour of its state, with how far it has come and what was noted of it: to scrub, to step through, to
-//! play.
+//! The exposures along their time, each in the colour of its state, with how far it has come and what was noted of it: to scrub, to step
+//! through, to play.
 
 use eframe::egui::{
     self, Align2, Color32, Label, Painter, Rect, RichText, Role, Sense, Stroke, StrokeKind, Ui, WidgetInfo, pos2, vec2,
@@ -9,16 +9,16 @@ use super::keys::{Command, run};
 use super::note::Written;
 use super::state::ViewState;
 use super::theme::{CAUTION, DIM, INK, LINE, SMALL, TEXT, WELL, font, of_standing};
+use super::time_axis::TimeAxis;
+use super::told;
 use crate::report::Standing;
 use crate::session::board::{BoardState, PairView, Phase};
 use crate::telemetry::Sample;
 use crate::time::utc;
 
-const HEIGHT: f32 = 34.0;
-/// Widest tile.
-const WIDEST: f32 = 46.0;
-/// Narrower tiles have no number.
-const NUMBERED: f32 = 20.0;
+/// Of the tiles, and of the times below them.
+const HEIGHT: f32 = 30.0;
+const TIMES: f32 = 14.0;
 /// Narrower tiles have no phase.
 const PHASED: f32 = 32.0;
 /// Letters of a phase.
@@ -112,71 +112,131 @@ fn phase_of(board: &BoardState, pair: &PairView) -> Option<&'static str> {
 }
 
 fn tiles(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
-    let (strip, response) = ui.allocate_exact_size(vec2(ui.available_width(), HEIGHT), Sense::click_and_drag());
+    let (strip, response) = ui.allocate_exact_size(vec2(ui.available_width(), HEIGHT + TIMES), Sense::click_and_drag());
+    let (row, times) = strip.split_top_bottom_at_y(strip.top() + HEIGHT);
     let painter = ui.painter_at(strip);
-    painter.rect_filled(strip, 2.0, WELL);
+    painter.rect_filled(row, 2.0, WELL);
     let is_shown = |number: u32| board.pairs.iter().any(|pair| pair.number() == number);
     let coming: Vec<(u32, Phase)> =
         board.phases.iter().map(|(number, phase)| (*number, *phase)).filter(|(number, _)| !is_shown(*number)).collect();
-    let count = board.pairs.len() + board.frames_waiting.max(coming.len());
+    let unshown = board.frames_waiting.max(coming.len());
+    // Whatever is in work came lately.
+    let of_pairs = board.pairs.iter().map(|pair| pair.time_us);
+    let axis = TimeAxis::of(of_pairs.chain((0..unshown).map(|_| board.now_us)), !board.finished, row.width());
     let shown = state.shown_index(board);
     let said =
         shown.map(|at| format!("exposure {} of {}", at + 1, board.pairs.len())).unwrap_or_else(|| "no exposures".to_owned());
     response.widget_info(|| WidgetInfo::labeled(Role::Slider, true, &said));
-    if count == 0 {
-        return;
-    }
-    let wide = (strip.width() / count as f32).min(WIDEST);
-    if let Some(at) = response.interact_pointer_pos().filter(|_| response.dragged() || response.clicked()) {
+    let last = board.pairs.len().saturating_sub(1);
+    let pair_at = |x: f32| axis.at(x - row.left()).filter(|_| !board.pairs.is_empty());
+    if let Some(at) = response.interact_pointer_pos().filter(|_| response.dragged() || response.clicked())
+        && let Some(n) = pair_at(at.x)
+    {
         state.player.stop();
-        state.select(board, (((at.x - strip.left()) / wide).max(0.0) as usize).min(board.pairs.len().saturating_sub(1)));
+        state.select(board, n.min(last));
     }
-    for n in 0..count {
-        let gap = if wide > 6.0 { 1.0 } else { 0.0 };
-        let left = strip.left() + n as f32 * wide;
-        let tile = Rect::from_min_max(pos2(left + gap, strip.top() + 3.0), pos2(left + wide - gap, strip.bottom() - 3.0));
-        match board.pairs.get(n) {
-            Some(pair) => {
-                let standing = pair.pair.standing();
-                exposure(&painter, tile, standing, (wide >= NUMBERED).then(|| pair.number().to_string()));
-                if let Some(phase) = phase_of(board, pair).filter(|_| wide >= PHASED) {
-                    painter.text(pos2(tile.left() + 2.0, tile.top()), Align2::LEFT_TOP, phase, font(TINY), TEXT);
-                }
-                if board.notes.contains_key(&pair.number()) {
-                    let at = pos2(tile.right() - 5.0, tile.top() + 5.0);
-                    painter.circle(at, 3.5, Color32::WHITE, Stroke::new(1.0, INK));
-                }
-                if shown == Some(n) {
-                    painter.rect_stroke(tile.expand(1.5), 3.0, Stroke::new(2.5, Color32::WHITE), StrokeKind::Middle);
-                }
-            }
-            None => {
-                painter.rect_stroke(tile.shrink(0.5), 2.0, Stroke::new(1.0, LINE), StrokeKind::Inside);
-                match coming.get(n - board.pairs.len()).filter(|_| wide >= PHASED) {
-                    Some((number, phase)) => {
-                        let bottom = pos2(tile.center().x, tile.bottom() - 1.0);
-                        painter.text(pos2(tile.center().x, tile.top()), Align2::CENTER_TOP, phase.short(), font(TINY), TEXT);
-                        painter.text(bottom, Align2::CENTER_BOTTOM, number, font(SMALL), DIM);
-                    }
-                    None => _ = painter.text(tile.center(), Align2::CENTER_CENTER, "…", font(SMALL), DIM),
-                }
-            }
-        }
+    let tile = |n: usize| {
+        let [left, right] = axis.tile(n);
+        let gap = if right - left > 6.0 { 1.0 } else { 0.0 };
+        Rect::from_min_max(pos2(row.left() + left + gap, row.top() + 2.0), pos2(row.left() + right - gap, row.bottom() - 2.0))
+    };
+    for (n, pair) in board.pairs.iter().enumerate() {
+        of_pair(&painter, tile(n), board, pair);
     }
-    if let Some(pair) = response.hover_pos().and_then(|at| board.pairs.get(((at.x - strip.left()) / wide) as usize)) {
-        let number = pair.number();
-        let phase = board.phases.get(&number).map(|phase| format!("\n{}", phase.words())).unwrap_or_default();
-        let note = board.notes.get(&number).map(|note| format!("\nnote: {note}")).unwrap_or_default();
-        let standing = pair.pair.standing().word();
-        let words = format!("frame {number} ({})\n{standing}\n{}{phase}{note}", pair.pair.frame, pair.pair.status_line());
+    for n in 0..unshown {
+        to_come(&painter, tile(board.pairs.len() + n), coming.get(n));
+    }
+    numbers(&painter, row, board, shown, &tile);
+    time_scale(&painter, times, &axis);
+    if let Some(n) = response.hover_pos().filter(|at| row.contains(*at)).and_then(|at| pair_at(at.x))
+        && let Some(pair) = board.pairs.get(n)
+    {
+        let words = hint(board, pair);
         response.on_hover_ui_at_pointer(|ui| {
             ui.label(egui::RichText::new(words).size(SMALL));
         });
     }
 }
 
+/// What the pointer is told of an exposure.
+fn hint(board: &BoardState, pair: &PairView) -> String {
+    let number = pair.number();
+    let phase = board.phases.get(&number).map(|phase| format!("\n{}", phase.words())).unwrap_or_default();
+    let note = board.notes.get(&number).map(|note| format!("\nnote: {note}")).unwrap_or_default();
+    let standing = pair.pair.standing().word();
+    let whole = pair.pair.reason.as_deref().unwrap_or_default();
+    let mut status = pair.pair.status_line();
+    if !whole.is_empty() {
+        status = status.replace(whole, told::reason(pair));
+    }
+    format!("frame {number} ({}), {}\n{standing}\n{status}{phase}{note}", pair.pair.frame, utc(pair.time_us))
+}
+
+fn of_pair(painter: &Painter, tile: Rect, board: &BoardState, pair: &PairView) {
+    exposure(painter, tile, pair.pair.standing());
+    if let Some(phase) = phase_of(board, pair).filter(|_| tile.width() >= PHASED) {
+        painter.text(pos2(tile.left() + 2.0, tile.top()), Align2::LEFT_TOP, phase, font(TINY), TEXT);
+    }
+    if board.notes.contains_key(&pair.number()) {
+        let at = pos2(tile.right() - 5.0, tile.top() + 5.0);
+        painter.circle(at, 3.5, Color32::WHITE, Stroke::new(1.0, INK));
+    }
+}
+
+/// A frame that cannot be shown yet.
+fn to_come(painter: &Painter, tile: Rect, known: Option<&(u32, Phase)>) {
+    painter.rect_stroke(tile.shrink(0.5), 2.0, Stroke::new(1.0, LINE), StrokeKind::Inside);
+    match known.filter(|_| tile.width() >= PHASED) {
+        Some((number, phase)) => {
+            let bottom = pos2(tile.center().x, tile.bottom() - 1.0);
+            painter.text(pos2(tile.center().x, tile.top()), Align2::CENTER_TOP, phase.short(), font(TINY), TEXT);
+            painter.text(bottom, Align2::CENTER_BOTTOM, number, font(SMALL), DIM);
+        }
+        None => _ = painter.text(tile.center(), Align2::CENTER_CENTER, "…", font(SMALL), DIM),
+    }
+}
+
+/// The numbers of the exposures, as many as do not touch; that of the one shown is always there, over all else.
+fn numbers(painter: &Painter, row: Rect, board: &BoardState, shown: Option<usize>, tile: &dyn Fn(usize) -> Rect) {
+    let place = |n: usize| {
+        let galley = painter.layout_no_wrap(board.pairs[n].number().to_string(), font(SMALL), INK);
+        let size = galley.size();
+        let middle = tile(n).center().x;
+        // The first and the last stay within the strip.
+        let left = (middle - 0.5 * size.x).clamp(row.left(), (row.right() - size.x).max(row.left()));
+        (Rect::from_min_size(pos2(left, tile(n).bottom() - 1.0 - size.y), size), galley)
+    };
+    let of_shown = shown.map(|n| (n, place(n)));
+    let mut free_from = f32::MIN;
+    for n in (0..board.pairs.len()).filter(|n| shown != Some(*n)) {
+        let (rect, galley) = place(n);
+        let is_free = rect.left() >= free_from
+            && of_shown.as_ref().is_none_or(|(_, (other, _))| !other.expand2(vec2(5.0, 0.0)).intersects(rect));
+        if is_free {
+            free_from = rect.right() + 3.0;
+            painter.galley(rect.min, galley, INK);
+        }
+    }
+    if let Some((n, (rect, galley))) = of_shown {
+        painter.rect_stroke(tile(n).expand(1.5), 3.0, Stroke::new(2.5, Color32::WHITE), StrokeKind::Middle);
+        painter.rect_filled(rect.expand2(vec2(3.0, 0.0)), 3.0, Color32::WHITE);
+        painter.galley(rect.min, galley, INK);
+    }
+}
+
+/// Round times below the tiles.
+fn time_scale(painter: &Painter, times: Rect, axis: &TimeAxis) {
+    painter.hline(times.x_range(), times.top() + 0.5, Stroke::new(1.0, LINE));
+    for tick in axis.ticks() {
+        let x = times.left() + tick.x;
+        let length = if tick.label.is_empty() { 3.0 } else { 5.0 };
+        painter.line_segment([pos2(x, times.top()), pos2(x, times.top() + length)], Stroke::new(1.0, DIM));
+        painter.text(pos2(x + 3.0, times.top() + 2.0), Align2::LEFT_TOP, tick.label, font(TINY), DIM);
+    }
+}
+
 /// A tile whose height tells its state too, for those who do not tell its colours.
-fn exposure(painter: &Painter, tile: Rect, standing: Standing, number: Option<String>) {
+fn exposure(painter: &Painter, tile: Rect, standing: Standing) {
     let share = match standing {
         Standing::Accepted => 1.0,
         Standing::Refused | Standing::NoPose => 0.45,
@@ -184,7 +244,4 @@ fn exposure(painter: &Painter, tile: Rect, standing: Standing, number: Option<St
     };
     let filled = Rect::from_min_max(pos2(tile.left(), tile.bottom() - share * tile.height()), tile.max);
     painter.rect_filled(filled, 2.0, of_standing(standing));
-    if let Some(number) = number {
-        painter.text(pos2(tile.center().x, tile.bottom() - 1.0), Align2::CENTER_BOTTOM, number, font(SMALL), INK);
-    }
 }

@@ -1,5 +1,7 @@
 //! The native window around the panes.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
@@ -22,9 +24,10 @@ pub enum ViewerError {
     },
 }
 
-/// The board rings for whatever is worth a look. This is for readings that creep, and for a session that has stopped to publish anything: its
-/// lines look stale after this at the latest.
+/// The board rings for whatever is worth a look. This is for counters and rates, which are not.
 const TICK: Duration = Duration::from_secs(10);
+/// How often the board is told the time, whatever the session's own thread does: where that stands still, lines look silent all the same.
+const WATCH: Duration = Duration::from_millis(500);
 
 struct Window {
     board: Board,
@@ -52,6 +55,9 @@ impl eframe::App for Window {
             snapshot.now_us = host_now_us();
         }
         draw(ui, &snapshot, &mut self.state);
+        if let Some(pair) = self.state.shown(&snapshot) {
+            self.board.look_at(pair.number());
+        }
         let asked = self.state.editing.take_asked();
         if let Some(edits) = &self.edits {
             // A session that has ended takes none.
@@ -62,6 +68,22 @@ impl eframe::App for Window {
     fn on_exit(&mut self) {
         (self.on_close)();
     }
+}
+
+/// Tells `board` the time until it is `over`; it rings where a line is silent by then.
+fn watch(board: Board, over: Arc<AtomicBool>) {
+    let watching = move || {
+        while !over.load(Ordering::Relaxed) {
+            std::thread::sleep(WATCH);
+            board.tick(|state| {
+                if !(state.replayed || state.finished) {
+                    state.now_us = host_now_us();
+                }
+            });
+        }
+    };
+    // Without it the session's own thread tells the time, as long as it runs.
+    drop(std::thread::Builder::new().name("watch".to_owned()).spawn(watching));
 }
 
 /// Shows `board`, and sends what a person edits to `edits`, until the window is closed, or `leaves` says that there is nothing more to see;
@@ -89,11 +111,15 @@ pub fn run(
     if !has_display {
         return Err(ViewerError::NoWindow { detail: "neither DISPLAY nor WAYLAND_DISPLAY is set".to_owned() });
     }
+    let over = Arc::new(AtomicBool::new(false));
+    watch(board.clone(), Arc::clone(&over));
     let window = move |context: &eframe::CreationContext| {
         let woken = context.egui_ctx.clone();
         board.on_change(move |after| woken.request_repaint_after(after));
         let (leaves, on_close) = (Box::new(leaves), Box::new(on_close));
         Ok(Box::new(Window { board, state: ViewState::default(), edits, leaves, on_close }) as Box<dyn eframe::App>)
     };
-    eframe::run_native("sidecarm", options, Box::new(window)).map_err(|error| ViewerError::NoWindow { detail: error.to_string() })
+    let ran = eframe::run_native("sidecarm", options, Box::new(window));
+    over.store(true, Ordering::Relaxed);
+    ran.map_err(|error| ViewerError::NoWindow { detail: error.to_string() })
 }

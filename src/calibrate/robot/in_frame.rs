@@ -3,7 +3,7 @@
 use glam::DVec3;
 use nalgebra::SMatrix;
 
-use super::chain::{OWN, State, shape};
+use super::chain::{OWN, State, length_mm, on_axis, shape};
 use super::fit::{Fitting, LEAST_MARKS};
 use super::metal::Metal;
 use super::shot::Shot;
@@ -44,6 +44,18 @@ pub struct SeenTip {
     pub profiles: usize,
 }
 
+/// Steps of the centreline.
+const STEPS: u32 = 32;
+
+/// The robot as a frame shows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeenRobot {
+    /// The end of the drill.
+    pub tip: SeenTip,
+    /// Its centreline from the base to there, with base, bend and picture as they are fitted, px of the frame.
+    pub centreline_px: Vec<[f64; 2]>,
+}
+
 /// A tip seen further from where it is drawn is worth a word: mm, and standard deviations.
 const ELSEWHERE: (f64, f64) = (1.0, 4.0);
 
@@ -56,7 +68,7 @@ impl SeenTip {
     }
 }
 
-/// The tip in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
+/// The robot in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
 /// is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure. `cancelled` is asked now and then.
 ///
 /// # Errors
@@ -67,7 +79,7 @@ pub fn tip_in_frame(
     pose: &Pose,
     scene: &Scene,
     cancelled: &dyn Fn() -> bool,
-) -> Result<Option<SeenTip>, RobotFitError> {
+) -> Result<Option<SeenRobot>, RobotFitError> {
     let robot = scene.robot.as_ref().ok_or(RobotFitError::NoRobot)?;
     let readings_deg = robot.control_angles_deg;
     let Ok(shot) = Shot::masked(&frame.name, frame, masks, pose, readings_deg, Rigid::IDENTITY) else { return Ok(None) };
@@ -89,7 +101,8 @@ pub fn tip_in_frame(
     let (state, own) = (&solution.state, solution.state.own_deg[0]);
     let at = |state: &State, own: &[f64; OWN]| tip_px(&robot.model, &shot, state, own);
     let Some((found_px, depth_mm)) = at(state, &own) else { return Ok(None) };
-    let seen_px = found_px + glam::DVec2::from_array(fitted.shift_px);
+    let shift_px = glam::DVec2::from_array(fitted.shift_px);
+    let seen_px = found_px + shift_px;
     let mut by = SMatrix::<f64, 2, UNKNOWNS>::zeros();
     let Some(shape) = shape(&robot.model, &shot, &state.offsets_deg, &own) else { return Ok(None) };
     let tip_in_lps = state.carrier_from_base.transform_point(shape.base_from_tip.translation_mm);
@@ -118,11 +131,18 @@ pub fn tip_in_frame(
     let covariance_px2 = by * joint * by.transpose() * chi2_per_dof.max(1.0);
     let mm_per_px = depth_mm / shot.view.intrinsics.fx;
     let off_mm = (seen_px - drawn_px) * mm_per_px;
-    Ok(Some(SeenTip {
+    let on_centreline = |step: u32| {
+        let s_mm = f64::from(step) / f64::from(STEPS) * length_mm(&robot.model);
+        let (px, _) = shot.image(state.carrier_from_base.transform_point(on_axis(&shape, s_mm)))?;
+        Some((px + shift_px).to_array())
+    };
+    let centreline_px = (0..=STEPS).filter_map(on_centreline).collect();
+    let tip = SeenTip {
         image_px: seen_px.to_array(),
         off_mm: off_mm.to_array(),
         sigma_mm: [0, 1].map(|n| covariance_px2[(n, n)].sqrt().hypot(PLACE_PX) * mm_per_px),
         length_mm: off_mm.length(),
         profiles,
-    }))
+    };
+    Ok(Some(SeenRobot { tip, centreline_px }))
 }

@@ -21,7 +21,7 @@ mod report;
 mod shots_of;
 
 pub use fit::{LeftOutShot, RobotFit, calibrate};
-pub use in_frame::{SeenTip, tip_in_frame};
+pub use in_frame::{SeenRobot, SeenTip, tip_in_frame};
 pub use report::{RobotReport, ShotReport, plot};
 pub use shot::{NoShot, Shot};
 pub use shots_of::{LoggedShot, shots_of_log};

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 
+use super::exposure::TELEMETRY_AND_BEADS;
 use super::finding::Finding;
 use crate::geometry::Rigid;
 use crate::pose::TelemetryInnovation;
@@ -78,7 +79,7 @@ impl DriftWatch {
         );
         let remedy =
             "the arm, its base or the specimen has shifted so far: tie the specimen anew; if it stays, calibrate the arm anew";
-        Some(Finding::warn("telemetry and beads", detail, remedy))
+        Some(Finding::warn(TELEMETRY_AND_BEADS, detail, remedy))
     }
 }
 

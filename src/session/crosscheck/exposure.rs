@@ -161,6 +161,9 @@ pub(super) fn plausible_beam(beam: &CarmSample) -> Vec<Finding> {
         .collect()
 }
 
+/// What is checked where telemetry and beads are held against each other.
+pub(crate) const TELEMETRY_AND_BEADS: &str = "telemetry and beads";
+
 /// How far telemetry puts the specimen from where the beads say it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseDifference {
@@ -202,19 +205,18 @@ fn check_jump(innovation: &Innovation) -> Option<Finding> {
         return None;
     }
     let detail = format!(
-        "telemetry and beads are {:.1} mm and {:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
+        "{TELEMETRY_AND_BEADS} are {:.1} mm and {:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
         DVec3::from_array(innovation.shift_mm).length(),
         innovation.turn_deg
     );
     Some(Finding::warn(
-        "telemetry and beads",
+        TELEMETRY_AND_BEADS,
         detail,
         "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew",
     ))
 }
 
 fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
-    const CHECK: &str = "telemetry and beads";
     let innovation = innovation(facts)?;
     let (angle_deg, [u_mm, v_mm, depth_mm]) = (innovation.turn_deg, innovation.shift_mm);
     let (most_deg, most_across_mm, most_depth_mm) = POSE_TOLERANCE;
@@ -231,5 +233,5 @@ fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
     } else {
         "check world_from_lps, the joints' offsets, and whether specimen or arm was moved"
     };
-    Some(Finding::warn(CHECK, detail, remedy))
+    Some(Finding::warn(TELEMETRY_AND_BEADS, detail, remedy))
 }

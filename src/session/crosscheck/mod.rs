@@ -27,6 +27,7 @@ pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
 pub(super) use disk::free_bytes;
 pub use disk::{check_disk, refuse_among_frames};
 pub use drift::DriftWatch;
+pub(super) use exposure::TELEMETRY_AND_BEADS;
 pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use first_view::{choose_view, first_joints};

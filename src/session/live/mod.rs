@@ -109,6 +109,7 @@ pub fn run(
     let whereabouts = Whereabouts::new(&setup, workshop.robot());
     let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), whereabouts.clone(), reporter)?);
     let collector = Collector::create(&options.out, heard_from_us, Times::Told, &workshop)?;
+    board.keep_pictures_in(&options.out, reporter);
     let log = Arc::new(SessionLog::create((&options.out, heard_from_us), &setup, &workshop, events, reporter)?);
     let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     engine.park_in(&options.out);

@@ -1,0 +1,141 @@
+//! A file without a name in which pictures lie for the time being, beside the log that must not run out of disk.
+
+use std::fs::File;
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use super::crosscheck::free_bytes;
+use crate::image::Image;
+
+/// Where a picture lies in the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Slot {
+    at_byte: u64,
+    size_px: [usize; 2],
+    /// CRC-32 of what lies there.
+    sum: u32,
+}
+
+impl Slot {
+    fn bytes(&self) -> u64 {
+        (self.size_px[0] * self.size_px[1] * size_of::<f32>()) as u64
+    }
+}
+
+/// So much of the disk is left to the log.
+const LEFT_BYTES: u64 = 2 << 30;
+
+/// The file, and what of it is free again.
+pub(super) struct Yard {
+    folder: PathBuf,
+    file: Option<File>,
+    end_byte: u64,
+    free: Vec<Slot>,
+    taken: usize,
+}
+
+impl Yard {
+    /// In a file of `folder` without a name, which is gone when the program is. Nothing is written before the first picture.
+    pub(super) fn in_folder(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), file: None, end_byte: 0, free: Vec::new(), taken: 0 }
+    }
+
+    /// Takes a picture.
+    pub(super) fn put(&mut self, image: &Image<f32>) -> std::io::Result<Slot> {
+        let size_px = [image.width, image.height];
+        if free_bytes(&self.folder).is_some_and(|free| free < LEFT_BYTES) {
+            return Err(Error::other("less than 2 GB are free"));
+        }
+        let file = match &mut self.file {
+            Some(file) => file,
+            none => none.insert(tempfile::tempfile_in(&self.folder)?),
+        };
+        let reused = self.free.iter().position(|slot| slot.size_px == size_px);
+        let at_byte = reused.map_or(self.end_byte, |place| self.free[place].at_byte);
+        let bytes = bytemuck::cast_slice(&image.pixels);
+        write_at(file, bytes, at_byte)?;
+        let slot = Slot { at_byte, size_px, sum: crc32fast::hash(bytes) };
+        match reused {
+            Some(place) => drop(self.free.swap_remove(place)),
+            None => self.end_byte += slot.bytes(),
+        }
+        self.taken += 1;
+        Ok(slot)
+    }
+
+    /// Gives a picture back, bit for bit. Its place is free then, readable or not.
+    pub(super) fn take(&mut self, slot: Slot) -> std::io::Result<Image<f32>> {
+        let [width, height] = slot.size_px;
+        let file = self.file.as_mut().ok_or_else(|| Error::from(ErrorKind::NotFound))?;
+        let mut image = Image::filled(width, height, 0.0f32);
+        let read = read_at(file, bytemuck::cast_slice_mut(&mut image.pixels), slot.at_byte);
+        self.let_go(slot);
+        read?;
+        match crc32fast::hash(bytemuck::cast_slice(&image.pixels)) == slot.sum {
+            true => Ok(image),
+            false => Err(Error::new(ErrorKind::InvalidData, "it is not what was written")),
+        }
+    }
+
+    /// What lies there is not wanted any more.
+    pub(super) fn let_go(&mut self, slot: Slot) {
+        self.free.push(slot);
+        self.taken = self.taken.saturating_sub(1);
+        if self.taken == 0 {
+            self.free.clear();
+            self.end_byte = 0;
+            // The disk has it back; where it cannot, the places are used again.
+            let _ = self.file.as_mut().map(|file| file.set_len(0));
+        }
+    }
+}
+
+fn write_at(file: &mut File, bytes: &[u8], at_byte: u64) -> std::io::Result<()> {
+    use std::io::{Seek, SeekFrom, Write};
+    file.seek(SeekFrom::Start(at_byte))?;
+    file.write_all(bytes)
+}
+
+fn read_at(file: &mut File, bytes: &mut [u8], at_byte: u64) -> std::io::Result<()> {
+    use std::io::{Read, Seek, SeekFrom};
+    file.seek(SeekFrom::Start(at_byte))?;
+    file.read_exact(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(size_px: [usize; 2], first: u32) -> Image<f32> {
+        let pixels = (0..size_px[0] * size_px[1]).map(|n| f32::from_bits(first.wrapping_mul(2_654_435_761) ^ n as u32)).collect();
+        Image { width: size_px[0], height: size_px[1], pixels }
+    }
+
+    fn bits(image: &Image<f32>) -> Vec<u32> {
+        image.pixels.iter().map(|value| value.to_bits()).collect()
+    }
+
+    #[test]
+    fn pictures_come_back_bit_for_bit_and_places_are_used_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut yard = Yard::in_folder(folder.path());
+        let images = [image([7, 5], 1), image([3, 4], 2), image([7, 5], 3)];
+        let slots = images.each_ref().map(|image| yard.put(image).expect("written"));
+        let back = yard.take(slots[0]).expect("read");
+        assert_eq!(([back.width, back.height], bits(&back)), ([7, 5], bits(&images[0])));
+        let end_byte = yard.end_byte;
+        let again = yard.put(&image([7, 5], 4)).expect("written");
+        assert_eq!((again.at_byte, yard.end_byte), (slots[0].at_byte, end_byte));
+        for (slot, expected) in [(slots[1], &images[1]), (slots[2], &images[2]), (again, &image([7, 5], 4))] {
+            assert_eq!(bits(&yard.take(slot).expect("read")), bits(expected));
+        }
+        assert_eq!(yard.file.as_ref().expect("a file").metadata().expect("metadata").len(), 0, "nothing waits");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "the file has no name");
+        let altered = yard.put(&images[1]).expect("written");
+        write_at(yard.file.as_mut().expect("a file"), &[0xff], 5).expect("written");
+        assert!(yard.take(altered).is_err(), "not what was written");
+        yard.folder = folder.path().join("none");
+        yard.file = None;
+        assert!(yard.put(&images[0]).is_err());
+    }
+}

@@ -184,6 +184,7 @@ mod tests {
             scatter: None,
             non_finite: None,
             achieved: None,
+            made: Default::default(),
         };
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("001.tif");

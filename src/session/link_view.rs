@@ -203,7 +203,8 @@ mod tests {
     /// An arm that crept by half a degree was shown where it had been, for as long as it liked.
     #[test]
     fn what_is_shown_to_a_tenth_is_not_off_by_more_for_longer_than_a_second() {
-        let creep: [(&str, fn(f64) -> Sample); 4] = [
+        type By = fn(f64) -> Sample;
+        let creep: [(&str, By); 4] = [
             ("orbital", |by| {
                 let joints = CarmJoints { orbital_rad: by.to_radians(), ..CarmJoints::ZERO };
                 Sample::Carm(CarmSample { joints, ..CarmSample::UNTOLD })

@@ -52,6 +52,7 @@ mod tests {
     use serde_json::json;
 
     use super::super::inputs::InputNames;
+    use super::super::jobs::Order;
     use super::super::posed::Posed;
     use super::super::workshop::Workshop;
     use super::*;
@@ -114,7 +115,7 @@ mod tests {
     }
 
     /// What the DRR of a session's first frame had to make that was not there: from the side, whence nobody looked before.
-    fn made_for_the_first_frame(warm: bool) -> Made {
+    fn made_for_the_first_frame(order: Order) -> Made {
         let (scene, setup, reporter) = (scene(), setup(), Reporter::silent());
         let mut view = choose_view(setup.carm.as_ref(), None, &[DVec3::ZERO], &scene).expect("a view");
         let Rigid { rotation, translation_mm } = view.camera_from_lps;
@@ -128,7 +129,7 @@ mod tests {
         let (pairs, developed) = channel();
         // However soon it comes, it waits until the renderer is warm.
         workshop.submit(posed, None);
-        workshop.start(warm, move |pair| pairs.send(pair).is_ok()).expect("starts");
+        workshop.start(order, move |pair| pairs.send(pair).is_ok()).expect("starts");
         workshop.close();
         let first = developed.recv().expect("a pair");
         workshop.abandon();
@@ -142,9 +143,9 @@ mod tests {
     /// needs is left to be made.
     #[test]
     fn the_first_frame_finds_all_made_that_the_session_could_make_while_it_waited() {
-        assert_eq!(made_for_the_first_frame(true), Made::default());
+        assert_eq!(made_for_the_first_frame(Order::NewestFirst), Made::default());
         // The control: where nobody warmed it up.
-        let cold = made_for_the_first_frame(false);
+        let cold = made_for_the_first_frame(Order::AsHandedIn);
         assert!(cold.volumes == 1 && cold.copies > 0 && cold.fits > 0, "{cold:?}");
     }
 }

@@ -128,6 +128,7 @@ mod tests {
             y: Axis::new("attenuation / (cm²/g)", scale),
             series: vec![Series { label: "total".to_owned(), points, ..Series::default() }],
             marks: vec![Mark { x: 2.0, label: "mean".to_owned() }],
+            ..Plot::default()
         }
     }
 
@@ -162,7 +163,8 @@ mod tests {
 
     /// The numbers of an attribute of all elements of a name.
     fn numbers(svg: &str, element: &str, attribute: &str) -> Vec<f64> {
-        let elements = svg.split(&format!("<{element}")).skip(1).filter_map(|rest| rest.split('>').next());
+        let start = format!("<{element}");
+        let elements = svg.split(&start).skip(1).filter_map(|rest| rest.split('>').next());
         let of = |text: &str| text.split_once(&format!(" {attribute}=\""))?.1.split('"').next()?.parse().ok();
         elements.filter_map(of).collect()
     }

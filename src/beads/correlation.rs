@@ -1,5 +1,7 @@
 //! How the noise of a frame hangs together from pixel to pixel: consoles smooth and sharpen, scintillators share light.
 
+use rayon::prelude::*;
+
 use crate::image::Image;
 
 /// Largest lag, in pixels, along either axis.
@@ -34,7 +36,7 @@ impl Correlation {
     /// Measures tiles of `pixels` that are wholly `usable`; `sigma` is the standard deviation at a value as second differences give it.
     ///
     /// A tile's trend is taken out; the quietest tiles are kept, since what is in a tile besides noise only adds.
-    pub fn measure(pixels: &Image<f32>, usable: &Image<bool>, sigma: impl Fn(f64) -> f64) -> Self {
+    pub fn measure(pixels: &Image<f32>, usable: &Image<bool>, sigma: impl Fn(f64) -> f64 + Sync) -> Self {
         let trend = Trend::new();
         let (w, h) = (pixels.width, pixels.height);
         if w < TILE || h < TILE {
@@ -43,22 +45,23 @@ impl Correlation {
         let count = ((w - TILE) / STEP + 1) * ((h - TILE) / STEP + 1);
         let every = count.div_ceil(MOST_TILES);
         let places = (0..=h - TILE).step_by(STEP).flat_map(|row| (0..=w - TILE).step_by(STEP).map(move |column| (column, row)));
-        let mut tiles: Vec<(f64, Vec<f64>)> = Vec::new();
-        for (column, row) in places.step_by(every) {
+        let places: Vec<(usize, usize)> = places.step_by(every).collect();
+        let tile_at = |(column, row): (usize, usize)| {
             let lines = || (row..row + TILE).map(|row| row * w + column..row * w + column + TILE);
             if !lines().all(|line| usable.pixels[line].iter().all(|usable| *usable)) {
-                continue;
+                return None;
             }
             let mut tile: Vec<f64> = lines().flat_map(|line| pixels.pixels[line].iter().map(|value| f64::from(*value))).collect();
             let mean = tile.iter().sum::<f64>() / tile.len() as f64;
             let scale = 1.0 / sigma(mean);
             if !scale.is_finite() {
-                continue;
+                return None;
             }
             tile.iter_mut().for_each(|value| *value = (*value - mean) * scale);
             trend.take_out(&mut tile);
-            tiles.push((covariance(&tile, 0, 0), tile));
-        }
+            Some((covariance(&tile, 0, 0), tile))
+        };
+        let mut tiles: Vec<(f64, Vec<f64>)> = places.into_par_iter().filter_map(tile_at).collect();
         tiles.sort_by(|a, b| a.0.total_cmp(&b.0));
         let kept = (tiles.len() / KEPT_ONE_IN).clamp(12, MOST_KEPT).min(tiles.len());
         if kept < 6 {
@@ -66,14 +69,10 @@ impl Correlation {
         }
         tiles.truncate(kept);
         let at_lag = |columns, rows| middle_mean(tiles.iter().map(|(_, tile)| covariance(tile, columns, rows)).collect());
-        let mut lags = Vec::new();
-        for rows in 0..=REACH as i32 {
-            for columns in -(REACH as i32)..=REACH as i32 {
-                if rows > 0 || columns > 0 {
-                    lags.push((columns, rows, at_lag(columns, rows)));
-                }
-            }
-        }
+        let reach = REACH as i32;
+        let half_plane = (0..=reach).flat_map(|rows| (-reach..=reach).map(move |columns| (columns, rows)));
+        let half_plane: Vec<(i32, i32)> = half_plane.filter(|(columns, rows)| *rows > 0 || *columns > 0).collect();
+        let lags = half_plane.into_par_iter().map(|(columns, rows)| (columns, rows, at_lag(columns, rows))).collect();
         Self::corrected(&trend, at_lag(0, 0), lags)
     }
 

@@ -1,5 +1,7 @@
 //! The noise of a frame as a function of its value, and of its correlation between neighbours.
 
+use rayon::prelude::*;
+
 use super::correlation::Correlation;
 use crate::image::Image;
 use crate::units::interpolated;
@@ -41,7 +43,7 @@ impl Noise {
                 samples.push(((corners + sides + at(1, 1)) / 9.0, second.abs()));
             }
         }
-        samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+        samples.par_sort_by(|a, b| a.0.total_cmp(&b.0));
         let range = match (samples.first(), samples.last()) {
             (Some(first), Some(last)) => f64::from(last.0 - first.0),
             _ => 0.0,

@@ -220,7 +220,7 @@ impl Equations {
         for column in &mut self.columns {
             column.resize(window.len(), 0.0);
         }
-        let (mut normal, mut right) = on_widest_vectors(Products { columns: &mut self.columns, window, at, weighing });
+        let (mut normal, mut right) = pulp::Arch::new().dispatch(Products { columns: &mut self.columns, window, at, weighing });
         let blur_weight = BLUR_PRIOR.1.powi(-2);
         normal[(3, 3)] += blur_weight;
         right[3] += blur_weight * (BLUR_PRIOR.0.ln() - theta[3]);
@@ -251,6 +251,9 @@ impl Equations {
     }
 }
 
+/// Sums are made in so many strands.
+const STRANDS: usize = 8;
+
 /// Fills the columns of [`Equations`] and multiplies them with one another.
 struct Products<'a> {
     columns: &'a mut [Vec<f64>],
@@ -259,11 +262,11 @@ struct Products<'a> {
     weighing: &'a Weighing,
 }
 
-impl pulp::NullaryFnOnce for Products<'_> {
+impl pulp::WithSimd for Products<'_> {
     type Output = (Matrix, Vector);
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> Self::Output {
         let Self { columns, window, at, weighing } = self;
         // The residual's column holds the scale until it is no longer needed.
         let (derivatives, last) = columns.split_at_mut(COUNT);
@@ -286,26 +289,28 @@ impl pulp::NullaryFnOnce for Products<'_> {
         let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
         for i in 0..COUNT {
             for j in i..COUNT {
-                let sum = dot(&columns[i], &columns[j]);
+                let sum = dot(simd, &columns[i], &columns[j]);
                 normal[(i, j)] = sum;
                 normal[(j, i)] = sum;
             }
-            right[i] = dot(&columns[i], &columns[COUNT]);
+            right[i] = dot(simd, &columns[i], &columns[COUNT]);
         }
         (normal, right)
     }
 }
 
-/// Sum of products in eight strands, always in the same order.
+/// Sum of products in eight strands, always in the same order, whatever the vectors of the machine.
 #[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut strands = [0.0f64; 8];
-    let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in a_chunks.zip(b_chunks) {
-        for n in 0..8 {
-            strands[n] += x[n] * y[n];
+fn dot<S: pulp::Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
+    let whole = a.len().min(b.len()) / STRANDS * STRANDS;
+    let (x, y) = (S::as_simd_f64s(&a[..whole]).0, S::as_simd_f64s(&b[..whole]).0);
+    let registers = STRANDS / S::F64_LANES;
+    let mut strands = [simd.splat_f64s(0.0); STRANDS];
+    for (x, y) in x.chunks_exact(registers).zip(y.chunks_exact(registers)) {
+        for n in 0..registers {
+            strands[n] = simd.add_f64s(strands[n], simd.mul_f64s(x[n], y[n]));
         }
     }
-    strands.iter().sum::<f64>() + rest
+    let rest: f64 = a[whole..].iter().zip(&b[whole..]).map(|(x, y)| x * y).sum();
+    pulp::bytemuck::cast_slice::<_, f64>(&strands[..registers]).iter().sum::<f64>() + rest
 }

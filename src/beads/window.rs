@@ -1,5 +1,7 @@
 //! The round window a shadow is fitted in: its usable pixels as columns of numbers, with what does not change during the fit.
 
+use rayon::prelude::*;
+
 use super::correlation::REACH;
 use super::model::{Fit, Model};
 use super::noise::Noise;
@@ -25,8 +27,9 @@ impl<'a> Field<'a> {
     /// `pixels`, of which those that are `usable` count.
     pub fn new(pixels: &'a Image<f32>, usable: &'a Image<bool>, noise: &'a Noise, display_curve: f64) -> Self {
         let values = || pixels.pixels.iter().zip(&usable.pixels).filter(|(_, usable)| **usable).map(|(value, _)| *value);
-        let low = values().fold(f32::INFINITY, f32::min);
-        let high = values().fold(f32::NEG_INFINITY, f32::max);
+        let each = || pixels.pixels.par_iter().zip(&usable.pixels).filter(|(_, usable)| **usable).map(|(value, _)| *value);
+        let low = each().reduce(|| f32::INFINITY, f32::min);
+        let high = each().reduce(|| f32::NEG_INFINITY, f32::max);
         let often = |end: f32| values().filter(|value| *value == end).take(CLIPPED_PIXELS).count() == CLIPPED_PIXELS;
         let clipped = (if often(low) { low } else { f32::NEG_INFINITY }, if often(high) { high } else { f32::INFINITY });
         Self { pixels, usable, noise, display_curve, clipped }

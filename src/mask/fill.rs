@@ -1,5 +1,7 @@
 //! Masked pixels filled in from around them, smoothly, so that filters may run over them without meeting an edge.
 
+use rayon::prelude::*;
+
 use crate::image::Image;
 
 /// `pixels` where `usable`, elsewhere a smooth continuation: means of ever larger blocks, the finest that holds a usable pixel (push and
@@ -10,7 +12,7 @@ pub fn fill(pixels: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
         return pixels.clone();
     }
     let weighted = |(value, usable): (&f32, &bool)| if *usable { [*value, 1.0] } else { [0.0, 0.0] };
-    let finest = pixels.pixels.iter().zip(&usable.pixels).map(weighted).collect();
+    let finest = pixels.pixels.par_iter().zip(&usable.pixels).map(weighted).collect();
     let mut levels = vec![Image { width: pixels.width, height: pixels.height, pixels: finest }];
     while let Some(level) = levels.last()
         && (level.width > 1 || level.height > 1)
@@ -31,22 +33,24 @@ pub fn fill(pixels: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
 fn push(level: &Image<[f32; 2]>) -> Image<[f32; 2]> {
     let (width, height) = (level.width.div_ceil(2), level.height.div_ceil(2));
     let mut out = Image::filled(width, height, [0.0f32; 2]);
-    for row in 0..level.height {
-        for column in 0..level.width {
-            let [value, weight] = *level.at(column, row);
-            let block = out.at_mut(column / 2, row / 2);
-            block[0] += value;
-            block[1] += weight;
+    out.pixels.par_chunks_mut(width).zip(level.pixels.par_chunks(2 * level.width)).for_each(|(out, rows)| {
+        for row in rows.chunks(level.width) {
+            for (column, [value, weight]) in row.iter().enumerate() {
+                let block = &mut out[column / 2];
+                block[0] += value;
+                block[1] += weight;
+            }
         }
-    }
-    out.map(|[sum, weight]| if *weight > 1.0 { [sum / weight, 1.0] } else { [*sum, *weight] })
+        out.iter_mut().filter(|block| block[1] > 1.0).for_each(|block| *block = [block[0] / block[1], 1.0]);
+    });
+    out
 }
 
 /// What a level does not know comes from the coarser one, interpolated.
 fn pull(level: &Image<[f32; 2]>, coarse: &Image<f32>) -> Image<f32> {
     let mut out = Image::filled(level.width, level.height, 0.0f32);
-    for row in 0..level.height {
-        for column in 0..level.width {
+    out.pixels.par_chunks_mut(level.width).enumerate().for_each(|(row, line)| {
+        for (column, out) in line.iter_mut().enumerate() {
             let [value, weight] = *level.at(column, row);
             // Pixel (c, r) lies a quarter of a block from its block's middle.
             let beyond = || {
@@ -59,12 +63,12 @@ fn pull(level: &Image<[f32; 2]>, coarse: &Image<f32>) -> Image<f32> {
                 let across = |r: usize| 0.75 * coarse.at(c0, r) + 0.25 * coarse.at(c1, r);
                 0.75 * across(r0) + 0.25 * across(r1)
             };
-            *out.at_mut(column, row) = match weight {
+            *out = match weight {
                 weight if weight >= 1.0 => value,
                 weight => value + (1.0 - weight) * beyond(),
             };
         }
-    }
+    });
     out
 }
 

@@ -69,7 +69,7 @@ impl LocalNoise {
         if samples.len() < 32 * BINS {
             return None;
         }
-        samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        samples.par_sort_by(|a, b| a[0].total_cmp(&b[0]));
         let range = f64::from(samples[samples.len() - 1][0] - samples[0][0]);
         let step = smallest_step(samples.iter().map(|sample| sample[2]).collect());
         let floor = (0.5 * step).max(1e-5 * range);

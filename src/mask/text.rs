@@ -17,7 +17,7 @@ pub(super) fn burned_in(ends: &[&Image<bool>; 2]) -> Image<bool> {
             }
         }
     }
-    dilate_once(&written)
+    if written.pixels.contains(&true) { dilate_once(&written) } else { written }
 }
 
 /// A connected set of pixels and its box (inclusive).
@@ -60,8 +60,11 @@ impl Component {
 #[must_use]
 pub fn components(mask: &Image<bool>) -> Vec<Component> {
     let (width, height) = (mask.width, mask.height);
-    let mut seen = vec![false; mask.pixels.len()];
     let mut found = Vec::new();
+    if !mask.pixels.contains(&true) {
+        return found;
+    }
+    let mut seen = vec![false; mask.pixels.len()];
     for start in 0..mask.pixels.len() {
         if seen[start] || !mask.pixels[start] {
             continue;

@@ -2,7 +2,7 @@
 //!
 //! The camera is that of the body with most beads. A body's place is lps_from_body = camera_from_lps⁻¹ · camera_from_body, where
 //! camera_from_body is the pose that its own beads give. It has moved when that differs from the identity by more than both poses'
-//! covariances allow (χ² with six degrees of freedom). Where but three of its beads are seen, a prior must say where it is expected.
+//! covariances allow (χ² with six degrees of freedom), or than residuals allow where no deviation of the places is stated. Where but three of its beads are seen, a prior must say where it is expected.
 
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
@@ -15,6 +15,7 @@ use super::request::Registration;
 use super::residual::BeadResidual;
 use super::solve::{about, deviation};
 use super::three::{self, Expected, Placed};
+use super::tightness::Tightness;
 use super::unseen::Unseen;
 use crate::beads::{Bead, BeadLayout, Correspondence, Detection};
 use crate::geometry::Rigid;
@@ -23,6 +24,8 @@ use crate::geometry::Rigid;
 pub(super) const FEWEST: usize = 4;
 /// Squared deviation, in standard deviations, beyond which a body has moved: one in 10⁵ by accident.
 pub(super) const MOVED: f64 = 33.0;
+/// The same as a chance.
+const BY_ACCIDENT: f64 = 1e-5;
 /// Smaller motions are within what a scan and a few beads can tell, whatever their covariance says: degrees, mm.
 pub(super) const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
 /// A shadow closer than this to one that is taken is that one, px.
@@ -143,7 +146,7 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
         match found {
             Ok(placed) => {
                 left = without(&left, &placed.pose);
-                bodies.extend(motion(name, &held, placed));
+                bodies.extend(motion(request, name, &held, placed));
             }
             Err(why) => unplaced.push((name, why)),
         }
@@ -177,7 +180,7 @@ fn without(detections: &[Detection], pose: &Pose) -> Vec<Detection> {
 }
 
 /// How a body has moved; one of three beads is placed by what is expected of it as well, so that its shadows alone say whether it has.
-fn motion(name: &str, first: &Pose, Placed { pose, off }: Placed) -> Option<Apart> {
+fn motion(request: &Registration, name: &str, first: &Pose, Placed { pose, off }: Placed) -> Option<Apart> {
     let (reference, own) = (first.camera_from_lps?, pose.camera().map(|(_, own)| own)?);
     let lps_from_body = reference.inverse() * own;
     let centre_lps = pose.centroid_lps_mm?;
@@ -193,7 +196,11 @@ fn motion(name: &str, first: &Pose, Placed { pose, off }: Placed) -> Option<Apar
         Some(off) => off,
         None => (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)],
     };
-    let moved = chi2 > MOVED && (angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1);
+    let solved = if request.intrinsics.is_none() || request.intrinsics_prior.is_some() { 3 } else { 0 };
+    // Where residuals are smaller than what is taken for them, so is what may be an accident.
+    let tightness = if off.is_none() { Tightness::of(request.layout, [first, &pose], solved) } else { None };
+    let is_beyond = chi2 > MOVED || tightness.is_some_and(|tightness| tightness.chance(chi2) < BY_ACCIDENT);
+    let moved = is_beyond && (angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1);
     Some(Apart { name: name.to_owned(), pose, lps_from_body, angle_deg, shift_mm, moved })
 }
 

@@ -47,6 +47,7 @@ mod straighten;
 mod tables;
 mod tagged;
 mod three;
+mod tightness;
 mod together;
 mod transform;
 mod triangle;

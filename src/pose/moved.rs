@@ -50,7 +50,10 @@ impl Case<'_> {
         radii.sort_unstable_by(f64::total_cmp);
         let usual_px = *radii.get(radii.len() / 2)?;
         let is_free = |n: usize| !last.matches.iter().chain(last.merged.iter().map(|(m, _)| m)).any(|m| m.detection == n);
-        let is_sized = |n: usize| BEAD_SIZED.contains(&(self.detections[n].radius_px / usual_px));
+        let is_sized = |n: usize| {
+            let (shadow, factor) = (&self.detections[n], self.detections[n].radius_factor());
+            (BEAD_SIZED.start / factor..BEAD_SIZED.end * factor).contains(&(shadow.radius_px / usual_px))
+        };
         let free: Vec<DVec2> =
             (0..self.detections.len()).filter(|n| is_free(*n) && is_sized(*n)).map(|n| self.detections[n].image_px).collect();
         let rests = |bead: usize| {

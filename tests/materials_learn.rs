@@ -155,14 +155,10 @@ fn the_shipped_network_is_as_good_as_its_figures() {
 }
 
 /// Figures of the shipped weights over the two phantoms above.
-const PINNED: [(&str, f64); 4] = [
-    ("dice bone", f64::NAN),
-    ("error", f64::NAN),
-    ("error from 100 to 400 HU", f64::NAN),
-    ("error within 5 mm of bone", f64::NAN),
-];
+const PINNED: [(&str, f64); 4] =
+    [("dice bone", 0.79088), ("error", 0.01310), ("error from 100 to 400 HU", 0.09597), ("error within 5 mm of bone", 0.13729)];
 /// Another processor rounds otherwise, which moves few voxels across a half.
-const ROUNDED: f64 = 5e-4;
+const ROUNDED: f64 = 1e-3;
 
 /// The figures of the phantoms are the network's own: made again, they are what the card says.
 #[test]

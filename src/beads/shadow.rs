@@ -256,7 +256,7 @@ impl Equations {
         columns[4] = scales.zip(&at.shadow).map(|(scale, shadow)| scale * shadow).collect();
         let mut normal = *normal;
         for n in 0..COUNT {
-            let sum = dot(&columns[4], &columns[n]);
+            let sum = dot(pulp::Scalar, &columns[4], &columns[n]);
             normal[(4, n)] = sum;
             normal[(n, 4)] = sum;
         }

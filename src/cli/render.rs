@@ -263,6 +263,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         let (words, advice) = over_budget(budget_ms, predicted_ms, network_ms);
         plan.say("budget", false, words.clone());
         reporter.warn("budget", format_args!("--budget-ms {words}; {advice}"));
+    } else if let Some(said) = plan.choices.iter().find(|choice| choice.what == "budget") {
+        reporter.warn("budget", format_args!("--budget-ms {}", said.why));
     }
     let asked = Asked { gpu: renderer.gpu(), ..asked };
     if options.scatter.is_none() {

@@ -64,7 +64,7 @@ struct RadiusRatio {
     ratio: f64,
     /// Its standard deviation by the scatter of the beads.
     sigma: f64,
-    /// By how much it may be off for what the radii state of themselves: blur hides the same of all of them.
+    /// By how much its logarithm may be off for what the radii state of themselves: blur hides the same of all of them.
     hidden: f64,
     /// What the radius of that bead should be.
     expected_px: f64,
@@ -219,16 +219,21 @@ impl Case<'_> {
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
         let Some(RadiusRatio { ratio, sigma, hidden, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
-        let off = (ratio - 1.0).abs();
-        let small = SMALL_RADIUS_PX2 / expected_px.powi(2);
+        let (off, small) = (ratio.ln().abs(), SMALL_RADIUS_PX2 / expected_px.powi(2));
+        // What blur hides is a factor: of shadows that are too small it is more than their share.
+        let gate = |share: f64| {
+            let share = share + small;
+            let known = if ratio < 1.0 { -(1.0 - share).max(0.1).ln() } else { share.ln_1p() };
+            known.hypot(hidden)
+        };
         // Radii that scatter are a doubt, and no contradiction.
-        if quantitative && !(off <= (OTHER_RADIUS.1 + small).hypot(hidden) + RADIUS_SIGMAS * sigma) {
+        if quantitative && !(off <= gate(OTHER_RADIUS.1) + RADIUS_SIGMAS * sigma / ratio) {
             return Err(Refusal::Radii { ratio });
         }
-        if !(off <= (OTHER_RADIUS.0 + small).hypot(hidden)) {
+        if !(off <= gate(OTHER_RADIUS.0)) {
             cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
-                100.0 * off,
+                100.0 * (ratio - 1.0).abs(),
                 if ratio < 1.0 { "smaller" } else { "larger" }
             ));
         }
@@ -251,7 +256,7 @@ impl Case<'_> {
         let own = |m: &Match| Some(self.detections.get(m.detection)?.radius_factor());
         let mut factors: Vec<f64> = last.matches.iter().filter_map(own).collect();
         factors.sort_by(f64::total_cmp);
-        let hidden = factors[factors.len() / 2] - 1.0;
+        let hidden = factors[factors.len() / 2].ln();
         let (ratio, expected_px) = ratios[ratios.len() / 2];
         let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
         off.sort_by(f64::total_cmp);

@@ -185,7 +185,7 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         },
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
-    let mut pose = match without_radii(request, &pose, &detections, &|request| one(request, &detections)) {
+    let mut pose = match without_radii(request, &pose, &detections, &one) {
         Some((without, off)) if off.is_hidden() => told_without_radii(without, off),
         // The other match is no match, and what was said of it means nothing.
         Some((_, off)) if off.is_wrong() => {
@@ -247,7 +247,7 @@ fn without_radii(
     request: &Registration,
     pose: &Pose,
     detections: &[Detection],
-    register: &dyn Fn(&Registration) -> Pose,
+    register: &dyn Fn(&Registration, &[Detection]) -> Pose,
 ) -> Option<(Pose, OffRadius)> {
     let could_be = matches!(pose.refusal, Some(Refusal::Chance { .. } | Refusal::NoMatch { .. }));
     let stated = |index: usize| request.layout.radius_mm(index, request.bead_radius_mm);
@@ -255,16 +255,18 @@ fn without_radii(
     let intrinsics = request.intrinsics.filter(|_| could_be && beads > 0 && (0..beads).all(|index| stated(index).is_some()))?;
     let mut layout = request.layout.clone();
     layout.beads.iter_mut().for_each(|bead| bead.radius_mm = None);
-    let without = register(&Registration { layout: &layout, bead_radius_mm: None, ..*request });
+    let changed = Registration { layout: &layout, bead_radius_mm: None, ..*request };
+    let without = bodies::apart(&changed, detections, register(&changed, detections), register);
     let camera_from_lps = without.camera_from_lps.filter(|_| without.is_accepted())?;
-    let own = |(index, bead): (usize, &BeadResidual)| {
+    let own = |bead: &BeadResidual| {
+        let index = request.layout.beads.iter().position(|other| other.name == bead.name)?;
         let shadow = without.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()))?;
-        let depth_mm = camera_from_lps.transform_point(bead.lps_mm).z;
+        let depth_mm = camera_from_lps.transform_point(without.place_of(&bead.body, bead.lps_mm)).z;
         let ratio = shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?);
         let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px);
         Some((ratio, seen.map_or(1.0, Detection::radius_factor)))
     };
-    let used = without.beads.iter().enumerate().filter(|(_, bead)| bead.used);
+    let used = without.beads.iter().filter(|bead| bead.used);
     let (mut ratios, mut factors): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
     ratios.sort_by(f64::total_cmp);
     factors.sort_by(f64::total_cmp);

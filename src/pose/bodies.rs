@@ -26,7 +26,7 @@ pub(super) const FEWEST: usize = 4;
 pub(super) const MOVED: f64 = 33.0;
 /// The same as a chance.
 const BY_ACCIDENT: f64 = 1e-5;
-/// What K may be off, of itself, without anybody having said so.
+/// What a focal length may be off, of itself, without anybody having said so.
 const SCALE_SHARE: f64 = 0.01;
 /// Smaller motions are within what a scan and a few beads can tell, whatever their covariance says: degrees, mm.
 pub(super) const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
@@ -199,13 +199,17 @@ fn motion(request: &Registration, name: &str, first: &Pose, Placed { pose, off }
         None => (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)],
     };
     let solved = if request.intrinsics.is_none() || request.intrinsics_prior.is_some() { 3 } else { 0 };
-    let moves = |room_mm: f64| angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1 + room_mm;
     // Where residuals are smaller than what is taken for them, so is what may be an accident; but a K that is a little off shifts bodies against each
     // other along the beam, and leaves next to nothing in the residuals.
+    let by_residuals = |tightness: Tightness| {
+        let apart_mm = first.centroid_lps_mm.map_or(0.0, |other| other.distance(centre_lps));
+        let mut covariance = covariance * tightness.variance;
+        covariance[(5, 5)] += (SCALE_SHARE * apart_mm).powi(2);
+        Some(tightness.chance((xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)]) < BY_ACCIDENT)
+    };
     let tightness = if off.is_none() { Tightness::of(request.layout, [first, &pose], solved) } else { None };
-    let apart_mm = first.centroid_lps_mm.map_or(0.0, |other| other.distance(centre_lps));
-    let is_beyond_residuals = tightness.is_some_and(|tightness| tightness.chance(chi2) < BY_ACCIDENT);
-    let moved = chi2 > MOVED && moves(0.0) || is_beyond_residuals && moves(SCALE_SHARE * apart_mm);
+    let is_beyond = chi2 > MOVED || tightness.and_then(by_residuals).unwrap_or(false);
+    let moved = is_beyond && (angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1);
     Some(Apart { name: name.to_owned(), pose, lps_from_body, angle_deg, shift_mm, moved })
 }
 

@@ -124,7 +124,7 @@ impl Scene {
     /// focal length half a per cent off.
     fn still(&self, seed: u64) -> [bool; 3] {
         let seen = |noise_mm| self.seen(&Rigid::IDENTITY, noise_mm, seed);
-        let mut off = Self { view: self.view, layout: self.layout.clone(), prior: self.prior.clone(), ..*self };
+        let mut off = Self { layout: self.layout.clone(), ..*self };
         off.view.intrinsics.fx *= 1.005;
         off.view.intrinsics.fy *= 1.005;
         [self.pose(&seen(0.0), true), self.pose(&seen(0.1), true), off.pose(&seen(0.0), true)].map(|pose| pose.is_accepted())

@@ -140,16 +140,26 @@ fn a_check_does_not_name_the_folders_and_files_of_a_session() {
         session["robot"]["port"] = json!("Quaxwelk^Annegrund/ttyROBOT");
     });
     std::fs::create_dir(lab.kit.join("Borvelde")).expect("a folder");
-    let printed = ran(&lab.kit, &["check", &name, "--limit", "300"], &[1]);
-    let words = String::from_utf8_lossy(&printed).into_owned();
-    let outputs = [("printed".to_owned(), printed)];
-    let found: Vec<&str> = PERSONS.into_iter().filter(|person| !hits(&outputs, person).is_empty()).collect();
-    assert!(found.is_empty(), "{found:?} in {words}");
+    let checked = || {
+        let printed = ran(&lab.kit, &["check", &name, "--limit", "300"], &[1]);
+        let words = String::from_utf8_lossy(&printed).into_owned();
+        let outputs = [("printed".to_owned(), printed)];
+        let found: Vec<&str> = PERSONS.into_iter().filter(|person| !hits(&outputs, person).is_empty()).collect();
+        assert!(found.is_empty(), "{found:?} in {words}");
+        words
+    };
+    let words = checked();
     // The control: each is told under a name that may be shown, and all checks were made.
     for label in ["carm.json: ", "robot.json: ", "ttyCARM: ", "frames: a folder", "beads in beads.mrk.json", "GB free where"] {
         assert!(words.contains(label), "'{label}' is not in {words}");
     }
     assert!(words.contains("synthetic exposure") && !words.contains("not all checks"), "{words}");
+    // A scene that cannot be loaded does not tell which files it names; the error did.
+    std::fs::remove_file(lab.kit.join("Quaxwelk^Annegrund/Pfriemk 19520317.nii.gz")).expect("removed");
+    let words = checked();
+    for told in ["scene.json: objects[", "file.nii.gz is not there", "looked in the scene's folder"] {
+        assert!(words.contains(told), "'{told}' is not in {words}");
+    }
 }
 
 /// Air frames of a panel and a picture without a tag, with a person's header.

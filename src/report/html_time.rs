@@ -35,11 +35,13 @@ pub(super) fn over_time(report: &SessionReport) -> Markup {
     }
 }
 
-/// A plot under a heading; nothing where it has nothing to show.
+/// A plot under a heading, and what belongs below it; that alone where the plot has nothing to show.
 fn figure(heading: &str, note: &str, plot: &Plot, below: &Markup) -> Markup {
     html! {
         @if let Ok(svg) = plot.svg() {
             figure { figcaption { (heading) " " span { (note) } } (PreEscaped(svg)) (below) }
+        } @else {
+            (below)
         }
     }
 }
@@ -204,4 +206,19 @@ fn link_table(report: &SessionReport) -> Markup {
         }
     };
     table("over", &headings, &rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The counters of the links were on no page whose plot could not be drawn.
+    #[test]
+    fn what_belongs_below_a_plot_is_shown_without_it() {
+        let below = html! { p { "counters" } };
+        let plot = |points: Vec<[f64; 2]>| timed("links", "", [0.0, 1.0], vec![Series { points, ..Series::default() }]);
+        assert_eq!(figure("Links", "", &plot(Vec::new()), &below).into_string(), "<p>counters</p>");
+        let drawn = figure("Links", "", &plot(vec![[0.0, 1.0], [1.0, 2.0]]), &below).into_string();
+        assert!(drawn.contains("<svg") && drawn.contains("<p>counters</p>"), "{drawn}");
+    }
 }

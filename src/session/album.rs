@@ -7,8 +7,10 @@ use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::background::stand_back;
+use super::crosscheck::free_bytes;
 use super::pair_pictures::{Pages, PairPictures};
 use super::yard::{Slot, Yard};
+use crate::image::Image;
 use crate::reporter::Reporter;
 
 /// Number of a frame, and how often it was posed before.
@@ -27,12 +29,16 @@ pub struct Leaving {
 
 /// So many wait in memory for a disk that is slow.
 const MOST_LEAVING: usize = 4;
+/// The file is no larger, and no larger than a tenth of what is free when it is begun: the disk is the log's.
+const MOST_BYTES: u64 = 2 << 30;
 
 #[derive(Default)]
 struct Queue {
     leaving: VecDeque<Leaving>,
     /// What somebody looks at. Who looks at another meanwhile does not wait for it any more.
     wanted: Option<Key>,
+    /// What is being read.
+    fetching: Option<Key>,
     closed: bool,
 }
 
@@ -91,7 +97,9 @@ impl Album {
 
     /// Asks for pictures that it took, instead of those that were asked for before.
     pub(super) fn fetch(&self, key: Key) {
-        self.shared.lock().wanted = Some(key);
+        let mut queue = self.shared.lock();
+        // Each look asks; what is being read comes without.
+        queue.wanted = (queue.fetching != Some(key)).then_some(key);
         self.shared.changed.notify_all();
     }
 }
@@ -112,6 +120,7 @@ enum Next {
 /// What leaves comes first: it may be what is wanted.
 fn next(shared: &Shared) -> Next {
     let mut queue = shared.lock();
+    queue.fetching = None;
     loop {
         if queue.closed {
             return Next::End;
@@ -120,6 +129,7 @@ fn next(shared: &Shared) -> Next {
             return Next::Put(leaving);
         }
         if let Some(key) = queue.wanted.take() {
+            queue.fetching = Some(key);
             return Next::Fetch(key);
         }
         queue = shared.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
@@ -131,15 +141,28 @@ fn serve(mut shelf: Shelf, shared: &Shared, deliver: &dyn Fn(Key, Option<PairPic
     loop {
         match next(shared) {
             Next::Put(leaving) => {
-                let Err(error) = shelf.put(&leaving) else { continue };
+                let mut dropped = Vec::new();
+                let why = match shelf.put(&leaving, &mut dropped) {
+                    Ok(()) if dropped.is_empty() => continue,
+                    Ok(()) => "has no room for more of their pictures".to_owned(),
+                    Err(error) => {
+                        dropped.push(leaving.key);
+                        format!("does not take their pictures ({error})")
+                    }
+                };
                 if !std::mem::replace(&mut is_said, true) {
-                    reporter.note(format!(
-                        "the window shows older exposures small: the session's folder does not take their pictures ({error}); the log has them"
-                    ));
+                    let words = format!("the window shows older exposures small: the session's folder {why}; the log has them");
+                    reporter.note(words);
                 }
-                deliver(leaving.key, None);
+                for key in dropped {
+                    // Those that leave once more may be taken then.
+                    let leaves_again = shared.lock().leaving.iter().any(|leaving| leaving.key == key);
+                    if !leaves_again {
+                        deliver(key, None);
+                    }
+                }
             }
-            Next::Fetch(key) => deliver(key, shelf.take(key)),
+            Next::Fetch(key) => deliver(key, shelf.fetch(key)),
             Next::End => return,
         }
     }
@@ -161,38 +184,71 @@ struct Kept {
 
 impl Shelf {
     fn in_folder(folder: &Path) -> Self {
-        Self { yard: Yard::in_folder(folder), kept: BTreeMap::new() }
+        let most_bytes = free_bytes(folder).map_or(MOST_BYTES, |free| MOST_BYTES.min(free / 10));
+        Self { yard: Yard::in_folder(folder).of_at_most(most_bytes), kept: BTreeMap::new() }
     }
 
-    fn put(&mut self, leaving: &Leaving) -> std::io::Result<()> {
+    /// Takes pictures; those of the oldest exposures go where there is no room, which adds them to `dropped`.
+    fn put(&mut self, leaving: &Leaving, dropped: &mut Vec<Key>) -> std::io::Result<()> {
         let (number, development) = leaving.key;
+        // What was read back is still here.
+        let is_kept = self.kept.get(&number).is_some_and(|kept| kept.development == development);
+        if is_kept && leaving.whole.is_read_back() {
+            return Ok(());
+        }
         // A frame that was posed again shows its latest DRR.
-        let before = self.kept.remove(&number);
-        before.into_iter().flat_map(|kept| kept.pages).for_each(|slot| self.yard.let_go(slot));
+        if let Some(before) = self.kept.remove(&number) {
+            self.let_go(before.pages);
+        }
         let Pages { values, meanings } = leaving.whole.pages();
-        let mut pages = Vec::new();
-        for page in values.into_iter().chain([&meanings]) {
-            match self.yard.put(page) {
-                Ok(slot) => pages.push(slot),
+        let images: Vec<&Image<f32>> = values.into_iter().chain([&meanings]).collect();
+        let pages = loop {
+            match self.write(&images) {
+                Ok(pages) => break pages,
                 Err(error) => {
-                    pages.into_iter().for_each(|slot| self.yard.let_go(slot));
-                    return Err(error);
+                    let Some((oldest, kept)) = self.kept.pop_first() else { return Err(error) };
+                    self.let_go(kept.pages);
+                    dropped.push((oldest, kept.development));
                 }
             }
-        }
+        };
         self.kept.insert(number, Kept { development, small: Arc::clone(&leaving.small), pages });
         Ok(())
     }
 
-    /// They are in memory then, and no more here.
-    fn take(&mut self, (number, development): Key) -> Option<PairPictures> {
-        self.kept.get(&number).filter(|kept| kept.development == development)?;
-        let Kept { small, pages, .. } = self.kept.remove(&number)?;
-        // Each place is free then, whether it can be read or not.
-        let read: Vec<_> = pages.into_iter().map(|slot| self.yard.take(slot)).collect();
-        let mut values = read.into_iter().collect::<std::io::Result<Vec<_>>>().ok()?;
-        let meanings = values.pop()?;
-        small.whole(values, &meanings)
+    /// All of them or none.
+    fn write(&mut self, images: &[&Image<f32>]) -> std::io::Result<Vec<Slot>> {
+        let mut pages = Vec::new();
+        for image in images {
+            match self.yard.put(image) {
+                Ok(slot) => pages.push(slot),
+                Err(error) => {
+                    self.let_go(pages);
+                    return Err(error);
+                }
+            }
+        }
+        Ok(pages)
+    }
+
+    fn let_go(&mut self, pages: Vec<Slot>) {
+        pages.into_iter().for_each(|slot| self.yard.let_go(slot));
+    }
+
+    /// They stay here as well, so that they are not written again; what cannot be read goes.
+    fn fetch(&mut self, (number, development): Key) -> Option<PairPictures> {
+        let kept = self.kept.get(&number).filter(|kept| kept.development == development)?;
+        let read: std::io::Result<Vec<_>> = kept.pages.iter().map(|slot| self.yard.read(*slot)).collect();
+        let whole = read.ok().and_then(|mut values| {
+            let meanings = values.pop()?;
+            kept.small.whole(values, &meanings)
+        });
+        if whole.is_none()
+            && let Some(unreadable) = self.kept.remove(&number)
+        {
+            self.let_go(unreadable.pages);
+        }
+        whole
     }
 }
 
@@ -200,29 +256,61 @@ impl Shelf {
 mod tests {
     use super::*;
     use crate::acquire::{Domain, Frame};
-    use crate::image::Image;
     use crate::mask::Masks;
 
     fn leaving(key: Key) -> Leaving {
         let pixels = (0..620 * 4).map(|at| 1.0 + ((at * (key.0 as usize + 1)) % 13) as f32).collect();
         let frame = Frame::from_pixels("a", Image { width: 620, height: 4, pixels }, Domain::Linear).expect("a frame");
         let whole = Arc::new(PairPictures::alone(&frame, &Masks::default()));
-        Leaving { key, small: Arc::new(whole.small()), whole }
+        Leaving { key, small: Arc::clone(whole.small().expect("made with it")), whole }
+    }
+
+    fn put(shelf: &mut Shelf, leaving: &Leaving) -> Vec<Key> {
+        let mut dropped = Vec::new();
+        shelf.put(leaving, &mut dropped).expect("written");
+        dropped
     }
 
     #[test]
-    fn pictures_are_taken_back_once_and_only_as_they_were_posed_last() {
+    fn pictures_are_read_back_only_as_they_were_posed_last_and_not_written_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut shelf = Shelf::in_folder(folder.path());
         let [one, two, again] = [leaving((1, 0)), leaving((2, 0)), leaving((2, 1))];
-        [&one, &two, &again].into_iter().for_each(|leaving| shelf.put(leaving).expect("written"));
-        assert!(shelf.take((2, 0)).is_none(), "it was posed again");
-        let back = shelf.take((2, 1)).expect("there");
+        assert!([&one, &two, &again].into_iter().all(|leaving| put(&mut shelf, leaving).is_empty()));
+        assert!(shelf.fetch((2, 0)).is_none(), "it was posed again");
+        let back = shelf.fetch((2, 1)).expect("there");
         assert_eq!(back.acquired(), again.whole.acquired());
-        let other = shelf.take((1, 0)).expect("there");
+        let other = shelf.fetch((1, 0)).expect("there");
         assert_eq!(other.acquired(), one.whole.acquired());
         assert_ne!(back.acquired(), other.acquired(), "the control");
-        assert!(!back.is_small() && shelf.take((2, 1)).is_none() && shelf.kept.is_empty());
+        assert!(!back.is_small() && back.is_read_back());
+        // A disk that takes nothing any more has them all the same; what is new has to be written.
+        shelf.yard = shelf.yard.of_at_most(0);
+        let back = Leaving { whole: Arc::new(back), ..leaving((2, 1)) };
+        assert!(put(&mut shelf, &back).is_empty() && shelf.fetch((2, 1)).is_some());
+        let mut dropped = Vec::new();
+        assert!(shelf.put(&leaving((3, 0)), &mut dropped).is_err());
+        assert_eq!((dropped, shelf.kept.len()), (vec![(1, 0), (2, 1)], 0));
+    }
+
+    /// The pictures of a long session took the log's disk.
+    #[test]
+    fn pictures_of_the_oldest_exposures_go_where_there_is_no_room() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut shelf = Shelf::in_folder(folder.path());
+        let of_one: usize = {
+            let Pages { values, meanings } = leaving((1, 0)).whole.pages();
+            values.into_iter().chain([&meanings]).map(|image| image.pixels.len() * size_of::<f32>()).sum()
+        };
+        shelf.yard = shelf.yard.of_at_most(2 * of_one as u64);
+        let dropped: Vec<Vec<Key>> = (1..=4).map(|number| put(&mut shelf, &leaving((number, 0)))).collect();
+        let expected: [Vec<Key>; 4] = [vec![], vec![], vec![(1, 0)], vec![(2, 0)]];
+        assert_eq!(dropped, expected);
+        assert!(shelf.fetch((2, 0)).is_none());
+        for number in [3, 4] {
+            let back = shelf.fetch((number, 0)).expect("there");
+            assert_eq!(back.acquired(), leaving((number, 0)).whole.acquired());
+        }
     }
 
     #[test]
@@ -236,6 +324,10 @@ mod tests {
         let shared = Arc::clone(&album.shared);
         assert!((0..4).all(|number| matches!(next(&shared), Next::Put(leaving) if leaving.key == (number, 0))));
         assert!(matches!(next(&shared), Next::Fetch((5, 0))), "who looks at another does not wait for the first");
+        album.fetch((5, 0));
+        assert_eq!(shared.lock().wanted, None, "it is being read");
+        album.fetch((1, 0));
+        assert_eq!(shared.lock().wanted, Some((1, 0)), "the control");
         drop(album);
         assert!(matches!(next(&shared), Next::End));
 

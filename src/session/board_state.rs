@@ -105,11 +105,14 @@ impl BoardState {
 
     /// Takes whole pictures back, or that there are none.
     pub(super) fn take_back(&mut self, (number, development): Key, pictures: Option<PairPictures>) -> Vec<Leaving> {
-        // Elsewhere they are no more.
+        let mut pairs = self.pairs.iter_mut();
+        let Some(pair) = pairs.find(|pair| (pair.number(), pair.development) == (number, development)) else {
+            // It was posed again meanwhile: what is away is not this.
+            return Vec::new();
+        };
+        // They are here now, or nowhere but in the log.
         self.away.remove(&number);
-        let is_it =
-            |pair: &&mut Arc<PairView>| pair.number() == number && pair.development == development && pair.pictures.is_small();
-        match (pictures, self.pairs.iter_mut().find(is_it)) {
+        match (pictures, Some(pair).filter(|pair| pair.pictures.is_small())) {
             (Some(pictures), Some(pair)) => Arc::make_mut(pair).pictures = Arc::new(pictures),
             _ => return Vec::new(),
         }
@@ -138,7 +141,8 @@ impl BoardState {
             let seen = |at: &usize| self.seen.iter().position(|number| *number == self.pairs[*at].number());
             let Some(at) = (0..self.pairs.len()).filter(may_leave).min_by_key(seen) else { break };
             let pair = &mut self.pairs[at];
-            let (whole, small) = (Arc::clone(&pair.pictures), Arc::new(pair.pictures.small()));
+            let whole = Arc::clone(&pair.pictures);
+            let Some(small) = whole.small().cloned() else { break };
             bytes -= whole.bytes();
             leaving.push(Leaving { key: (pair.number(), pair.development), whole, small: Arc::clone(&small) });
             Arc::make_mut(pair).pictures = small;
@@ -261,7 +265,9 @@ mod tests {
         state.away.insert(2);
         assert!(state.take_back((2, 0), None).is_empty() && state.away.is_empty() && whole(&state) == [1, 3, 5]);
         // It was posed again meanwhile.
+        state.away.insert(4);
         assert!(state.take_back((4, 1), Some((*pair(4).pictures).clone())).is_empty() && whole(&state) == [1, 3, 5]);
+        assert!(state.take_back((4, 1), None).is_empty() && state.away.contains(&4), "a stale answer takes nothing away");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde_json::Value;
 pub use super::file::LoggedInput;
 use super::file::{LoggedPart, Setup};
 use crate::acquire::{hashed_input_label, input_label};
-use crate::scene::InputFile;
+use crate::scene::{InputFile, built_in};
 use crate::telemetry::PortAddress;
 
 /// What is written in place of what.
@@ -65,6 +65,10 @@ impl InputNames {
             let Some(place) = &input.place else { continue };
             hide(&mut hidden, Path::new(&input.path), &logged.label);
             hide(&mut hidden, place, &logged.label);
+        }
+        if inputs.is_empty() {
+            // Of a scene that could not be loaded, errors name the file, its folder and what it names.
+            hide_scene(&mut hidden, &setup.scene_path, &setup.scene_json);
         }
         hidden.sort_by_key(|(text, _)| std::cmp::Reverse(text.len()));
         names.hidden = hidden;
@@ -210,6 +214,47 @@ fn hide(hidden: &mut Vec<(String, String)>, path: &Path, label: &str) {
         if text.len() > 3 && text != label && !hidden.iter().any(|(known, _)| *known == text) {
             hidden.push((text, label.to_owned()));
         }
+    }
+}
+
+/// As [`hide`], for the scene file at `scene` and the files that its text names.
+fn hide_scene(hidden: &mut Vec<(String, String)>, scene: &Path, text: &str) {
+    hide(hidden, scene, &told(scene, "scene").to_string_lossy());
+    let folder = scene.parent().map(Path::to_owned).unwrap_or_default();
+    let mut named = Vec::new();
+    names_in(&serde_json::from_str(text).unwrap_or_default(), &mut named);
+    // What comes with the program is called after nobody.
+    for name in named.into_iter().filter(|name| built_in(name).is_none()) {
+        let label = told(Path::new(&name), "file");
+        hide(hidden, &folder.join(&name), &label.to_string_lossy());
+        hide(hidden, Path::new(&name), &label.to_string_lossy());
+    }
+    // Its bare name may be a word of any sentence: only the whole path is hidden.
+    let real = std::fs::canonicalize(&folder).unwrap_or_default();
+    for path in [folder, real] {
+        let path = path.display().to_string();
+        if path.len() > 3 && !hidden.iter().any(|(known, _)| *known == path) {
+            hidden.push((path, "the scene's folder".to_owned()));
+        }
+    }
+}
+
+/// Texts of a scene that stand where it names files.
+fn names_in(value: &Value, named: &mut Vec<String>) {
+    const KEYS: [&str; 8] = ["path", "labels", "names", "model", "network", "calibration", "carm", "spectrum_csv"];
+    match value {
+        Value::Object(fields) => {
+            for (key, value) in fields {
+                // A word without an ending may be no file's, but a series is a folder.
+                let is_file = |name: &str| ["path", "labels"].contains(&key.as_str()) || Path::new(name).extension().is_some();
+                match value {
+                    Value::String(name) if KEYS.contains(&key.as_str()) && is_file(name) => named.push(name.clone()),
+                    other => names_in(other, named),
+                }
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| names_in(value, named)),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
     }
 }
 

@@ -29,7 +29,10 @@ pub struct PairPictures {
     /// Of the values.
     pub unit: String,
     source: Source,
-    is_small: bool,
+    /// What stands for them where there is no room; absent in small ones.
+    small: Option<Arc<PairPictures>>,
+    /// They were read back from where whole pictures are put away.
+    is_read_back: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -54,7 +57,7 @@ impl PairPictures {
         let [window, window_of_drr] = difference.windows(pictures);
         let (difference, unit) = (Some(difference), pictures.unit.to_owned());
         let source = Source::Compared(Arc::clone(pictures));
-        Self { size_px, window, window_of_drr, difference, unit, source, is_small: false }
+        Self { size_px, window, window_of_drr, difference, unit, source, small: None, is_read_back: false }.with_small()
     }
 
     /// A frame that has no partner.
@@ -63,7 +66,14 @@ impl PairPictures {
         let Alone { values: shown, unit, usable, shut_off, window } = Alone::of(frame, masks);
         let size_px = [shown.width, shown.height];
         let source = Source::Alone { shown, usable, shut_off };
-        Self { size_px, window, window_of_drr: window, difference: None, unit, source, is_small: false }
+        let (window_of_drr, difference) = (window, None);
+        Self { size_px, window, window_of_drr, difference, unit, source, small: None, is_read_back: false }.with_small()
+    }
+
+    /// Small ones are made here, before anybody has to wait for them.
+    fn with_small(self) -> Self {
+        let small = Some(Arc::new(self.made_small()));
+        Self { small, ..self }
     }
 
     /// Gray values of the DRR from black to white where the frame's are `window`: the same, moved and widened as they are by themselves.
@@ -121,7 +131,17 @@ impl PairPictures {
     /// Whether these are small pictures that stand for whole ones: no value in them is a pixel's.
     #[must_use]
     pub fn is_small(&self) -> bool {
-        self.is_small
+        self.small.is_none()
+    }
+
+    /// The small pictures that stand for these; absent where these are small.
+    pub(super) fn small(&self) -> Option<&Arc<Self>> {
+        self.small.as_ref()
+    }
+
+    /// Whether they were read back from where whole pictures are put away.
+    pub(super) fn is_read_back(&self) -> bool {
+        self.is_read_back
     }
 
     /// Memory of the pixels.
@@ -132,7 +152,7 @@ impl PairPictures {
     }
 
     /// The same with small pictures.
-    pub(super) fn small(&self) -> Self {
+    fn made_small(&self) -> Self {
         let source = match &self.source {
             Source::Compared(pictures) => Source::Compared(Arc::new(Pictures {
                 acquired: averaged(&pictures.acquired),
@@ -146,7 +166,7 @@ impl PairPictures {
                 Source::Alone { shown: averaged(shown), usable: thinned(usable), shut_off: thinned(shut_off) }
             }
         };
-        Self { source, is_small: true, unit: self.unit.clone(), ..*self }
+        Self { source, small: None, unit: self.unit.clone(), ..*self }
     }
 
     /// What of the whole pictures is not in the small ones.
@@ -157,7 +177,7 @@ impl PairPictures {
     }
 
     /// The whole pictures of which these are the small ones, from the values and meanings of their [`Pages`]; `None` where those are others'.
-    pub(super) fn whole(&self, values: Vec<Image<f32>>, meanings: &Image<f32>) -> Option<Self> {
+    pub(super) fn whole(self: &Arc<Self>, values: Vec<Image<f32>>, meanings: &Image<f32>) -> Option<Self> {
         let mut values = values.into_iter();
         let acquired = values.next()?;
         let size_px = [acquired.width, acquired.height];
@@ -169,7 +189,8 @@ impl PairPictures {
             }
             Source::Alone { .. } => Source::Alone { shown: acquired, usable, shut_off },
         };
-        Some(Self { source, is_small: false, unit: self.unit.clone(), ..*self })
+        let (small, unit) = (Some(Arc::clone(self)), self.unit.clone());
+        Some(Self { source, small, is_read_back: true, unit, ..**self })
     }
 }
 
@@ -239,7 +260,8 @@ mod tests {
     #[test]
     fn whole_pictures_come_back_from_small_ones_and_their_pages() {
         let whole = whole();
-        let small = whole.small();
+        let small = Arc::clone(whole.small().expect("made with it"));
+        assert!(small.is_small() && !whole.is_read_back());
         let Pages { values, meanings } = whole.pages();
         assert!(meanings.pixels.iter().all(|number| number.is_finite()) && meanings.pixels.len() == 434);
         let again = small.whole(values.into_iter().cloned().collect(), &meanings).expect("they are its own");
@@ -247,6 +269,7 @@ mod tests {
         assert_eq!(again.edges(), whole.edges());
         assert_eq!((again.usable(), again.shut_off()), (whole.usable(), whole.shut_off()));
         assert_eq!((again.window, again.unit.as_str(), again.is_small()), (whole.window, "nepers", false));
+        assert!(again.is_read_back() && again.small().is_some_and(|same| Arc::ptr_eq(same, &small)), "small ones are made once");
         assert!(small.whole(vec![whole.acquired().clone()], &meanings).is_none(), "half of them");
         let few = Image { width: 3, height: 1, pixels: vec![0.0; 3] };
         assert!(small.whole(vec![whole.acquired().clone(); 2], &few).is_none(), "those of another");

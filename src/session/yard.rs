@@ -22,14 +22,16 @@ impl Slot {
     }
 }
 
-/// So much of the disk is left to the log.
-const LEFT_BYTES: u64 = 2 << 30;
+/// So much of the disk is left to the log. Tests run where less is free.
+const LEFT_BYTES: u64 = if cfg!(test) { 1 << 20 } else { 2 << 30 };
 
 /// The file, and what of it is free again.
 pub(super) struct Yard {
     folder: PathBuf,
     file: Option<File>,
     end_byte: u64,
+    /// The file grows no further.
+    most_bytes: u64,
     free: Vec<Slot>,
     taken: usize,
 }
@@ -37,7 +39,12 @@ pub(super) struct Yard {
 impl Yard {
     /// In a file of `folder` without a name, which is gone when the program is. Nothing is written before the first picture.
     pub(super) fn in_folder(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), file: None, end_byte: 0, free: Vec::new(), taken: 0 }
+        Self { folder: folder.to_owned(), file: None, end_byte: 0, most_bytes: u64::MAX, free: Vec::new(), taken: 0 }
+    }
+
+    /// The same in a file of at most so many bytes.
+    pub(super) fn of_at_most(self, most_bytes: u64) -> Self {
+        Self { most_bytes, ..self }
     }
 
     /// Takes a picture.
@@ -46,13 +53,16 @@ impl Yard {
         if free_bytes(&self.folder).is_some_and(|free| free < LEFT_BYTES) {
             return Err(Error::other("less than 2 GB are free"));
         }
+        let reused = self.free.iter().position(|slot| slot.size_px == size_px);
+        let bytes: &[u8] = bytemuck::cast_slice(&image.pixels);
+        if reused.is_none() && self.end_byte + bytes.len() as u64 > self.most_bytes {
+            return Err(Error::other(format!("their {:.1} GB are full", self.most_bytes as f64 * 1e-9)));
+        }
         let file = match &mut self.file {
             Some(file) => file,
             none => none.insert(tempfile::tempfile_in(&self.folder)?),
         };
-        let reused = self.free.iter().position(|slot| slot.size_px == size_px);
         let at_byte = reused.map_or(self.end_byte, |place| self.free[place].at_byte);
-        let bytes = bytemuck::cast_slice(&image.pixels);
         write_at(file, bytes, at_byte)?;
         let slot = Slot { at_byte, size_px, sum: crc32fast::hash(bytes) };
         match reused {
@@ -65,12 +75,17 @@ impl Yard {
 
     /// Gives a picture back, bit for bit. Its place is free then, readable or not.
     pub(super) fn take(&mut self, slot: Slot) -> std::io::Result<Image<f32>> {
+        let read = self.read(slot);
+        self.let_go(slot);
+        read
+    }
+
+    /// A picture, bit for bit; it stays where it is.
+    pub(super) fn read(&mut self, slot: Slot) -> std::io::Result<Image<f32>> {
         let [width, height] = slot.size_px;
         let file = self.file.as_mut().ok_or_else(|| Error::from(ErrorKind::NotFound))?;
         let mut image = Image::filled(width, height, 0.0f32);
-        let read = read_at(file, bytemuck::cast_slice_mut(&mut image.pixels), slot.at_byte);
-        self.let_go(slot);
-        read?;
+        read_at(file, bytemuck::cast_slice_mut(&mut image.pixels), slot.at_byte)?;
         match crc32fast::hash(bytemuck::cast_slice(&image.pixels)) == slot.sum {
             true => Ok(image),
             false => Err(Error::new(ErrorKind::InvalidData, "it is not what was written")),
@@ -124,6 +139,8 @@ mod tests {
         let back = yard.take(slots[0]).expect("read");
         assert_eq!(([back.width, back.height], bits(&back)), ([7, 5], bits(&images[0])));
         let end_byte = yard.end_byte;
+        yard = yard.of_at_most(end_byte);
+        assert!(yard.put(&image([2, 1], 5)).is_err(), "the file grows no further");
         let again = yard.put(&image([7, 5], 4)).expect("written");
         assert_eq!((again.at_byte, yard.end_byte), (slots[0].at_byte, end_byte));
         for (slot, expected) in [(slots[1], &images[1]), (slots[2], &images[2]), (again, &image([7, 5], 4))] {

@@ -26,12 +26,11 @@ impl Session {
     }
 
     /// Whether frames are on their way to the workshop. Those that a registration holds up which hangs, or whose thread died, do not come soon: a
-    /// null that waited for them might never be made.
+    /// null that waited for them might never be made. Those that wait for telemetry may wait for all of its silence.
     pub(super) fn frames_come(&self) -> bool {
-        if self.engine.waiting() > 0 {
-            return true;
-        }
-        let are_behind = self.registering.is_some() || self.is_editing() || self.engine.bound().next().is_some();
+        // One whose picture is on a disk that stands still may never come; it is asked for while another is registered.
+        let can_be_taken = self.engine.bound().next_back().is_some_and(|newest| self.engine.is_ready(newest));
+        let are_behind = self.registering.is_some() || self.is_editing() || can_be_taken;
         let hangs = || {
             let long = self.busy.longer_than(HANGS_AFTER);
             self.registrar_ended || long.iter().any(|(task, _)| matches!(task, Task::Registering(_)))

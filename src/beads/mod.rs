@@ -23,7 +23,6 @@ mod noise;
 mod place_covariance;
 mod probe;
 mod profile;
-mod radius_sigma;
 mod several;
 mod shadow;
 mod window;

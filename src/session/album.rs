@@ -299,7 +299,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let mut shelf = Shelf::in_folder(folder.path());
         let of_one: usize = {
-            let Pages { values, meanings } = leaving((1, 0)).whole.pages();
+            let leaving = leaving((1, 0));
+            let Pages { values, meanings } = leaving.whole.pages();
             values.into_iter().chain([&meanings]).map(|image| image.pixels.len() * size_of::<f32>()).sum()
         };
         shelf.yard = shelf.yard.of_at_most(2 * of_one as u64);

@@ -131,8 +131,8 @@ impl Lab {
             let noise = DVec2::new(random.normal(), random.normal()) * self.noise_px;
             let at = DVec2::new(u, v) + noise;
             let missing = random.uniform() < self.missing;
-            // Near enough for a radius; its 3 % are the fit's, which the program takes into account.
-            let radius_px = Some(0.97 * RADIUS_MM * 1020.0 / 631.8 / 0.194);
+            // Near enough for a radius.
+            let radius_px = Some(RADIUS_MM * 1020.0 / 631.8 / 0.194);
             if inside(&at) && !missing {
                 shadows.push(ShotShadow { image_px: at, noise_px2, radius_px });
             }

@@ -46,6 +46,7 @@ fn shadow(image_px: DVec2, radius_px: f64, sigma_px: f64) -> Detection {
         sigma_px,
         covariance_px2: [[sigma_px * sigma_px, 0.0], [0.0, sigma_px * sigma_px]],
         radius_px,
+        radius_sigma_ln: 0.0,
         contrast: 0.4,
         snr: 30.0,
         misfit: 0.02,

@@ -53,9 +53,11 @@ pub struct Detection {
     pub covariance_px2: [[f64; 2]; 2],
     /// Radius of the shadow before blur.
     pub radius_px: f64,
-    /// Depth of the shadow: nepers for transmission and line integrals, else the frame's unit.
+    /// Standard deviation of that radius' logarithm, for noise and for what blur hides; 0: none is stated.
+    pub radius_sigma_ln: f64,
+    /// Depth of the shadow in its middle, as blur leaves it: nepers for transmission and line integrals, else the frame's unit.
     pub contrast: f64,
-    /// Contrast over its standard deviation, size and blur taken as fitted.
+    /// Depth over its standard deviation, form and size taken as fitted.
     pub snr: f64,
     /// Structure that a sphere's shadow does not explain, as a share of the depth.
     pub misfit: f64,
@@ -78,6 +80,12 @@ impl Detection {
             radius_px: self.radius_px * jacobian.determinant().sqrt(),
             ..*self
         }
+    }
+
+    /// By what factor the radius may be larger or smaller than it is stated, for its own uncertainty; 1 where none is stated.
+    #[must_use]
+    pub fn radius_factor(&self) -> f64 {
+        (RADIUS_SIGMAS * self.radius_sigma_ln.max(0.0)).exp()
     }
 }
 
@@ -117,6 +125,8 @@ const LEAST_SNR: f64 = 6.0;
 /// Structure as a share of the radius beyond which a faint shadow is a thread or a crossing of wires; a clear one may have more.
 const MOST_STRUCTURE: f64 = 0.13;
 const CLEAR_SNR: f64 = 25.0;
+/// Standard deviations of its own by which a radius may be off where it is held against another.
+const RADIUS_SIGMAS: f64 = 2.0;
 /// Display curves change their slope by about half over the depth of a bead.
 const DISPLAY_CURVE: f64 = 0.5;
 
@@ -249,7 +259,7 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
             return first;
         }
         let others_fit = models[1..].iter().filter_map(|model| refit(field, *model, &first, others));
-        others_fit.fold(first, |best, next| if best.chi2_per_dof <= next.chi2_per_dof { best } else { next })
+        others_fit.fold(first, |best, next| if best.is_as_good_as(&next) { best } else { next })
     };
     let screened: Vec<Option<Fit>> = candidates.par_iter().map(|c| screen(field, models[0], &guess(c), &[])).collect();
     let fits: Vec<Fit> = candidates
@@ -345,7 +355,7 @@ fn place(fit: &Fit) -> Guess {
 /// As detections, best first.
 fn ranked(fits: &[Fit]) -> Vec<Detection> {
     // Beads of one specimen look alike: radii differ by magnification, contrasts by what lies behind them.
-    let alike = |a: &Fit, b: &Fit| (a.radius_px / b.radius_px).ln().abs() < 0.2 && (a.contrast / b.contrast).ln().abs() < 0.5;
+    let alike = |a: &Fit, b: &Fit| (a.radius_px / b.radius_px).ln().abs() < 0.2 && (a.depth / b.depth).ln().abs() < 0.5;
     let mut found: Vec<Detection> = fits
         .iter()
         .map(|fit| {
@@ -359,7 +369,8 @@ fn ranked(fits: &[Fit]) -> Vec<Detection> {
                 sigma_px: (0.5 * (covariance_px2[0][0] + covariance_px2[1][1])).sqrt(),
                 covariance_px2,
                 radius_px: fit.radius_px,
-                contrast: fit.contrast,
+                radius_sigma_ln: fit.radius_sigma_ln,
+                contrast: fit.depth,
                 snr: fit.snr,
                 misfit: fit.misfit,
                 quality: own * (0.4 + 0.6 * (company.min(4) as f64 / 4.0)),

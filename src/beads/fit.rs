@@ -89,7 +89,7 @@ fn fit_window(field: &Field, model: Model, start: Start, others: &[Fit], effort:
     let mut theta = initial(model, &window, start);
     // Curvature of a tenth of the shadow's depth at the window's border costs as much as one pixel in a hundred off by its noise.
     let stiff = 0.01 * window.len() as f64 * (0.1 * theta[4]).powi(-2);
-    let mut prior = Prior { ln_radius: start.radius_px.ln(), stiffness: 0.0 };
+    let mut prior = Prior { ln_radius: start.radius_px.ln(), stiffness: 0.0, contrast: model.contrast_weight() };
     let (mut at, mut trial) = (Evaluated::default(), Evaluated::default());
     let (mut weighing, mut equations) = (Weighing::default(), Equations::default());
     let mut steps = SmallSteps { damping: 1e-3, lower: 0.1, raise: 8.0, most: f64::INFINITY, attempts: 6 };
@@ -102,14 +102,14 @@ fn fit_window(field: &Field, model: Model, start: Start, others: &[Fit], effort:
         let (normal, right) = equations.normal(&window, &at, &weighing, &theta, &prior);
         let mut gain = 0.0;
         let taken = steps.take(&normal, &right, |step| {
-            let next = limited(&theta, step);
+            let next = limited(model, &theta, step);
             trial.fill(model, &next, &window);
             gain = cost - weighing.cost(&window, &trial, &next, &prior);
             gain >= 0.0
         });
         match taken {
             Some(step) => {
-                theta = limited(&theta, &step);
+                theta = limited(model, &theta, &step);
                 std::mem::swap(&mut at, &mut trial);
             }
             None => gain = 0.0,
@@ -133,7 +133,7 @@ fn fit_window(field: &Field, model: Model, start: Start, others: &[Fit], effort:
 }
 
 /// `theta` after `step`, no farther than a fit may go at once.
-fn limited(theta: &Vector, step: &Vector) -> Vector {
+fn limited(model: Model, theta: &Vector, step: &Vector) -> Vector {
     let mut next = theta + step;
     let limit = 0.5 * theta[2].exp() + 0.5;
     for n in 0..2 {
@@ -141,6 +141,7 @@ fn limited(theta: &Vector, step: &Vector) -> Vector {
     }
     next[2] = next[2].clamp(theta[2] - 0.5, theta[2] + 0.5).clamp(0.4f64.ln(), (40.0f64).ln());
     next[3] = next[3].clamp(0.3f64.ln(), (1.2 + 0.5 * next[2].exp()).ln());
+    next[4] = model.bounded(next[4]);
     next
 }
 
@@ -170,7 +171,7 @@ fn initial(model: Model, window: &Window, start: Start) -> Vector {
         Model::Transmission => {
             let least = 1e-3 * outside.abs().max(1e-9);
             theta[SHAPE] = outside.max(least).ln();
-            theta[4] = theta[SHAPE] - centre.max(least).ln();
+            theta[4] = model.bounded(theta[SHAPE] - centre.max(least).ln());
         }
         Model::Additive { sign, .. } => {
             theta[SHAPE] = outside;

@@ -1,4 +1,4 @@
-//! What a finished fit is worth: covariance of the centre, misfit, flags.
+//! What a finished fit is worth: covariance of the centre, uncertainty of the radius, misfit, flags.
 //!
 //! Noise moves the centre by Σ aᵢ zᵢ, a being the influence of each pixel and z its residual over its noise, so that its covariance is
 //! aᵀRa with the noise's correlation R. Structure under a shadow is in part followed by the background and in part left in the residual;
@@ -6,7 +6,8 @@
 
 use super::flags::Flags;
 use super::model::{Fit, Model};
-use super::shadow::{COUNT, CUBIC, Equations, Evaluated, Matrix, SHAPE, Vector, Weighing};
+use super::radius_sigma::radius_sigma_ln;
+use super::shadow::{BLUR_PRIOR, COUNT, CUBIC, Equations, Evaluated, Matrix, SHAPE, Vector, Weighing};
 use super::window::{Field, Window};
 
 /// A fit that has arrived.
@@ -55,7 +56,8 @@ struct Residuals {
 pub fn judge(finished: &Finished) -> Option<Fit> {
     let Finished { model, theta, window, weighing, .. } = *finished;
     let inverse = finished.normal.cholesky()?.inverse();
-    let held = held_inverse(finished.normal)?;
+    let (of_depth, depth_normal) = finished.equations.of_depth(finished.normal, finished.at, weighing);
+    let held = held_inverse(&depth_normal)?;
     let correlation = finished.field.noise.correlation();
     let correlated = window.is_whole && !correlation.is_white();
     let count = window.len() as f64;
@@ -69,7 +71,7 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
     let scale = chi2_per_dof.max(1.0);
 
     let mut covariance: Square = std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)]));
-    let mut contrast_variance = held[(4, 4)];
+    let (mut depth_variance, mut radius_variance) = (held[(4, 4)], inverse[(2, 2)]);
     if correlated {
         let [u, v] = influence.each_ref().map(|influence| window.on_grid(influence));
         let form = |a: &[f64], b: &[f64]| correlation.form(a, b, window.side);
@@ -79,11 +81,17 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         if is_positive(&of_noise) {
             covariance = of_noise;
         }
-        let [by_contrast] = finished.equations.influence(&held, weighing, [4]);
-        let grid = window.on_grid(&by_contrast);
+        let [by_depth] = of_depth.influence(&held, weighing, [4]);
+        let grid = window.on_grid(&by_depth);
         let of_noise = form(&grid, &grid);
         if of_noise > 0.0 {
-            contrast_variance = of_noise;
+            depth_variance = of_noise;
+        }
+        let [by_radius] = finished.equations.influence(&inverse, weighing, [2]);
+        let grid = window.on_grid(&by_radius);
+        let of_noise = form(&grid, &grid);
+        if of_noise > 0.0 {
+            radius_variance = of_noise + of_priors(model, &inverse);
         }
     }
     let structure = structure(finished, &inverse, &residuals.clustered, scale)?;
@@ -95,7 +103,7 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
             *value += if i == j { structure[i][j].max(local) } else { structure[i][j] };
         }
     }
-    let radius_px = theta[2].exp();
+    let (radius_px, blur_px) = (theta[2].exp(), theta[3].exp());
     let shadow_px = 1.3 * radius_px + 1.0;
     let masked = window.missing.iter().filter(|(dx, dy)| (dx - theta[0]).hypot(dy - theta[1]) < shadow_px).count() as f64;
     let fit = Fit {
@@ -103,11 +111,14 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         u_px: window.u_px + theta[0],
         v_px: window.v_px + theta[1],
         radius_px,
-        blur_px: theta[3].exp(),
+        radius_sigma_ln: radius_sigma_ln(model, (radius_variance * scale).sqrt(), radius_px, blur_px),
+        blur_px,
         contrast: theta[4],
-        snr: theta[4] / (contrast_variance * scale).sqrt(),
+        depth: model.depth(theta[4], blur_px / radius_px),
+        snr: theta[4].signum() / (depth_variance * scale).sqrt(),
         covariance_px2: covariance,
         chi2_per_dof,
+        dof,
         misfit: residuals.unexplained.max(0.0).sqrt(),
         coverage: count / window.total.max(1.0),
         structure_px,
@@ -119,7 +130,7 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         },
     };
     let [[uu, uv], [_, vv]] = fit.covariance_px2;
-    let finite = [fit.u_px, fit.v_px, fit.radius_px, fit.contrast, fit.snr, uu, uv, vv, fit.misfit];
+    let finite = [fit.u_px, fit.v_px, fit.radius_px, fit.contrast, fit.depth, fit.snr, uu, uv, vv, fit.misfit];
     (finite.iter().all(|x| x.is_finite()) && is_positive(&fit.covariance_px2)).then_some(fit)
 }
 
@@ -196,6 +207,12 @@ fn structure(finished: &Finished, inverse: &Matrix, clustered: &Square, scale: f
             left * clustered[i][j] + if i == j { FOLLOWED.powi(2) * followed + lopsided(i) } else { 0.0 }
         })
     }))
+}
+
+/// Variance of ln r by what is known of radius, blur and contrast beforehand: of the whole by white noise, what is not the pixels'.
+fn of_priors(model: Model, inverse: &Matrix) -> f64 {
+    let weights = [(2, 1.0), (3, BLUR_PRIOR.1.powi(-2)), (4, model.contrast_weight())];
+    weights.iter().map(|(n, weight)| inverse[(2, *n)].powi(2) * weight).sum()
 }
 
 /// Inverse with radius and blur taken as known: they trade off against contrast in small shadows, whose presence is sure.

@@ -23,6 +23,7 @@ mod noise;
 mod place_covariance;
 mod probe;
 mod profile;
+mod radius_sigma;
 mod several;
 mod shadow;
 mod window;

@@ -1,11 +1,12 @@
 //! A sphere's shadow on its background, as numbers over a window: expected values, their derivatives, and the normal equations.
 //!
-//! Transmission: V = exp(B(x, y) − c·G(d/r; s/r)), so that noise keeps its own statistics and thick metal needs no logarithm of few
-//! quanta. Other images: V = B(x, y) ± c·G_k. B is a cubic.
+//! Transmission: V = e^B(x, y) · (1 − (1 − e^(−c))·G_c(d/r; s/r)), so that noise keeps its own statistics and thick metal needs no logarithm
+//! of few quanta. Blur acts on what arrives: the profile is that of the shadow's own contrast, c nepers. Other images: V = B(x, y) ± c·G_k.
+//! B is a cubic.
 
 use nalgebra::{SMatrix, SVector};
 
-use super::model::Model;
+use super::model::{Model, Stopped};
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
@@ -34,6 +35,8 @@ pub struct Prior {
     pub ln_radius: f64,
     /// Weight against curvature of the background: a stiff one does not follow a wire, which then stands out and is left out.
     pub stiffness: f64,
+    /// Weight against contrast.
+    pub contrast: f64,
 }
 
 /// Expected values over a window, and what their derivatives are made of.
@@ -43,6 +46,8 @@ pub struct Evaluated {
     pub value: Vec<f64>,
     /// ∂V/∂B.
     pub factor: Vec<f64>,
+    /// What of the value is the shadow's.
+    pub shadow: Vec<f64>,
     /// Derivatives by u, v, ln r, ln s and c.
     pub shape: [Vec<f64>; SHAPE],
     /// Distance from the centre in radii.
@@ -53,11 +58,11 @@ impl Evaluated {
     /// Evaluates `model` with `theta` over `window`.
     pub fn fill(&mut self, model: Model, theta: &Vector, window: &Window) {
         let count = window.len();
-        for column in self.shape.iter_mut().chain([&mut self.value, &mut self.factor, &mut self.rho]) {
+        for column in self.shape.iter_mut().chain([&mut self.value, &mut self.factor, &mut self.shadow, &mut self.rho]) {
             column.resize(count, 0.0);
         }
         let radius = theta[2].exp();
-        let profile = Profile::new(model.shape(), theta[3].exp() / radius);
+        let profile = Profile::new(model.shape(theta[4]), theta[3].exp() / radius);
         // The background first, term by term, which the compiler turns into vector instructions.
         self.value.fill(0.0);
         for (term, coefficient) in window.basis.iter().zip(theta.as_slice()[SHAPE..].iter()) {
@@ -71,7 +76,7 @@ impl Evaluated {
             let rho = (du * du + dv * dv).sqrt() / radius;
             let g = profile.at(rho);
             self.rho[n] = rho;
-            (by_c[n], by_ln_r[n], by_ln_s[n]) = (g.value, g.by_rho, g.by_ln_beta);
+            (by_c[n], by_ln_r[n], by_ln_s[n], by_u[n]) = (g.value, g.by_rho, g.by_ln_beta, g.by_nepers);
         }
         on_widest_vectors(Shapes {
             model,
@@ -79,6 +84,7 @@ impl Evaluated {
             window,
             value: &mut self.value,
             factor: &mut self.factor,
+            shadow: &mut self.shadow,
             rho: &self.rho,
             by_u,
             by_v,
@@ -89,14 +95,15 @@ impl Evaluated {
     }
 }
 
-/// Turns what the profile says (its value in `by_c`, its derivatives in `by_ln_r` and `by_ln_s`) and the background (in `value`) into
-/// expected values and their derivatives.
+/// Turns what the profile says (its value in `by_c`, its derivatives in `by_ln_r`, `by_ln_s` and `by_u`, the last by nepers) and the
+/// background (in `value`) into expected values and their derivatives.
 struct Shapes<'a> {
     model: Model,
     theta: &'a Vector,
     window: &'a Window,
     value: &'a mut [f64],
     factor: &'a mut [f64],
+    shadow: &'a mut [f64],
     rho: &'a [f64],
     by_u: &'a mut [f64],
     by_v: &'a mut [f64],
@@ -110,40 +117,45 @@ impl pulp::NullaryFnOnce for Shapes<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { model, theta, window, value, factor, rho, by_u, by_v, by_ln_r, by_ln_s, by_c } = self;
+        let Self { model, theta, window, value, factor, shadow, rho, by_u, by_v, by_ln_r, by_ln_s, by_c } = self;
         let (contrast, radius) = (theta[4], theta[2].exp());
-        let sign = match model {
-            Model::Transmission => {
-                for ((value, factor), (g, others)) in value.iter_mut().zip(factor.iter_mut()).zip(by_c.iter().zip(&window.others))
-                {
-                    *value = exp((*value - contrast * g).clamp(-60.0, 60.0)) * others;
-                    *factor = *value;
-                }
-                -1.0
-            }
-            Model::Additive { sign, .. } => {
-                for ((value, factor), (g, others)) in value.iter_mut().zip(factor.iter_mut()).zip(by_c.iter().zip(&window.others))
-                {
-                    *value += sign * contrast * g + others;
-                    *factor = 1.0;
-                }
-                sign
-            }
-        };
         let count = value.len();
         let (by_u, by_v, by_ln_r, by_ln_s, by_c) =
             (&mut by_u[..count], &mut by_v[..count], &mut by_ln_r[..count], &mut by_ln_s[..count], &mut by_c[..count]);
-        let (factor, rho, dx, dy) = (&factor[..count], &rho[..count], &window.dx[..count], &window.dy[..count]);
+        let (factor, shadow, others) = (&mut factor[..count], &mut shadow[..count], &window.others[..count]);
+        let (rho, dx, dy) = (&rho[..count], &window.dx[..count], &window.dy[..count]);
+        // The value's derivative by the profile waits in `by_v`.
+        match model {
+            Model::Transmission => {
+                let stopped = Stopped::of(contrast);
+                for n in 0..count {
+                    let light = exp(value[n].clamp(-60.0, 60.0)) * others[n];
+                    let g = by_c[n];
+                    value[n] = light * stopped.left(g);
+                    factor[n] = value[n];
+                    shadow[n] = value[n] - light;
+                    by_v[n] = -light * stopped.share;
+                    by_c[n] = -light * (stopped.passes * g + stopped.share * by_u[n]);
+                }
+            }
+            Model::Additive { sign, .. } => {
+                for n in 0..count {
+                    shadow[n] = sign * contrast * by_c[n];
+                    value[n] += shadow[n] + others[n];
+                    factor[n] = 1.0;
+                    by_v[n] = sign * contrast;
+                    by_c[n] *= sign;
+                }
+            }
+        }
         for n in 0..count {
-            let depth = factor[n] * sign * contrast;
-            let by_rho = by_ln_r[n];
+            let (by_profile, by_rho) = (by_v[n], by_ln_r[n]);
             // ∂ρ/∂u = −du/(radius² ρ); the profile is flat in its middle.
-            let slope = depth * by_rho / (radius * radius * rho[n].max(1e-9));
+            let slope = by_profile * by_rho / (radius * radius * rho[n].max(1e-9));
             by_u[n] = -slope * (dx[n] - theta[0]);
             by_v[n] = -slope * (dy[n] - theta[1]);
-            by_ln_r[n] = depth * (-by_rho * rho[n] - by_ln_s[n]);
-            by_ln_s[n] *= depth;
-            by_c[n] *= factor[n] * sign;
+            by_ln_r[n] = by_profile * (-by_rho * rho[n] - by_ln_s[n]);
+            by_ln_s[n] *= by_profile;
         }
     }
 }
@@ -196,6 +208,7 @@ impl Weighing {
         let curved: f64 = theta.as_slice()[SHAPE + CURVED..].iter().map(|term| term * term).sum();
         data + ((theta[3] - BLUR_PRIOR.0.ln()) / BLUR_PRIOR.1).powi(2)
             + (theta[2] - prior.ln_radius).powi(2)
+            + prior.contrast * theta[4].powi(2)
             + prior.stiffness * curved
     }
 }
@@ -226,11 +239,28 @@ impl Equations {
         right[3] += blur_weight * (BLUR_PRIOR.0.ln() - theta[3]);
         normal[(2, 2)] += 1.0;
         right[2] += prior.ln_radius - theta[2];
+        normal[(4, 4)] += prior.contrast;
+        right[4] -= prior.contrast * theta[4];
         for n in SHAPE + CURVED..COUNT {
             normal[(n, n)] += prior.stiffness;
             right[n] -= prior.stiffness * theta[n];
         }
         (normal, right)
+    }
+
+    /// The same with the shadow's depth, as a share of itself, in place of its contrast: of metal that lets nothing pass the contrast is as
+    /// good as any, and that it is there is sure.
+    pub fn of_depth(&self, normal: &Matrix, at: &Evaluated, weighing: &Weighing) -> (Self, Matrix) {
+        let mut columns = self.columns.clone();
+        let scales = weighing.trust.iter().zip(&weighing.sigma).map(|(trust, sigma)| trust.sqrt() / sigma);
+        columns[4] = scales.zip(&at.shadow).map(|(scale, shadow)| scale * shadow).collect();
+        let mut normal = *normal;
+        for n in 0..COUNT {
+            let sum = dot(pulp::Scalar, &columns[4], &columns[n]);
+            normal[(4, n)] = sum;
+            normal[(n, 4)] = sum;
+        }
+        (Self { columns }, normal)
     }
 
     /// How much each pixel's normalised residual z = r/σ moves the parameters `of`: N⁻¹ Jᵀ W, column by column.
@@ -313,4 +343,56 @@ fn dot<S: pulp::Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
     }
     let rest: f64 = a[whole..].iter().zip(&b[whole..]).map(|(x, y)| x * y).sum();
     pulp::bytemuck::cast_slice::<_, f64>(&strands[..registers]).iter().sum::<f64>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::beads::noise::Noise;
+    use crate::beads::window::Field;
+    use crate::image::Image;
+
+    #[test]
+    fn derivatives_are_differences_of_the_expected_values() {
+        let (pixels, usable) = (Image::filled(40, 40, 900.0f32), Image::filled(40, 40, true));
+        let noise = Noise::measure(&pixels, &usable, true);
+        let field = Field::new(&pixels, &usable, &noise, 0.0);
+        let mut cases = 0;
+        for (model, contrast, level) in [
+            (Model::Transmission, 0.4, 900.0f64.ln()),
+            (Model::Transmission, 5.1, 900.0f64.ln()),
+            (Model::Additive { sign: -1.0, shape: 1 }, 300.0, 900.0),
+            (Model::Additive { sign: 1.0, shape: 3 }, 300.0, 900.0),
+        ] {
+            let window = Window::new(&field, model, (19.6, 20.3), 8.0, &[], usize::MAX);
+            let mut theta = Vector::zeros();
+            (theta[0], theta[1], theta[2], theta[3], theta[4]) = (0.3, -0.2, 2.3f64.ln(), 0.9f64.ln(), contrast);
+            (theta[SHAPE], theta[SHAPE + 1], theta[SHAPE + 4]) = (level, 0.1, -0.05);
+            let filled = |theta: &Vector| {
+                let mut at = Evaluated::default();
+                at.fill(model, theta, &window);
+                at
+            };
+            let at = filled(&theta);
+            for parameter in 0..SHAPE {
+                let h = 1e-5 * if parameter == 4 { contrast } else { 1.0 };
+                let moved = |by: f64| {
+                    let mut theta = theta;
+                    theta[parameter] += by;
+                    filled(&theta)
+                };
+                let (up, down) = (moved(h), moved(-h));
+                let largest = at.shape[parameter].iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
+                for n in 0..window.len() {
+                    let difference = (up.value[n] - down.value[n]) / (2.0 * h);
+                    assert!((at.shape[parameter][n] - difference).abs() < 2e-3 * largest, "{model:?} {parameter} at {n}");
+                }
+                cases += 1;
+            }
+            // What the shadow has, taken off, leaves the background.
+            let beside = filled(&Vector::from_fn(|n, _| if n == 4 { 0.0 } else { theta[n] }));
+            assert!((0..window.len()).all(|n| (at.value[n] - at.shadow[n] - beside.value[n]).abs() < 1e-3));
+        }
+        assert_eq!(cases, 4 * SHAPE);
+    }
 }

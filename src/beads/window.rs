@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::correlation::REACH;
-use super::model::{Fit, Model};
+use super::model::{Fit, Model, Stopped};
 use super::noise::Noise;
 use super::profile::Profile;
 use crate::image::Image;
@@ -89,12 +89,15 @@ impl Window {
         let (w, h) = (field.pixels.width as i64, field.pixels.height as i64);
         let reach = half_width.ceil() as i64;
         let (column0, row0) = (u_px.round() as i64 - reach, v_px.round() as i64 - reach);
-        let near: Vec<(&Fit, Profile)> = others
+        let near: Vec<(&Fit, Profile, Stopped)> = others
             .iter()
             .filter(|other| {
                 (other.u_px - u_px).hypot(other.v_px - v_px) < half_width + 1.3 * other.radius_px + 3.0 * other.blur_px
             })
-            .map(|other| (other, Profile::new(other.model.shape(), other.blur_px / other.radius_px)))
+            .map(|other| {
+                let profile = Profile::new(other.model.shape(other.contrast), other.blur_px / other.radius_px);
+                (other, profile, Stopped::of(other.contrast))
+            })
             .collect();
         let room = (3.3 * half_width * half_width / every as f64) as usize + 16;
         let column = || Vec::with_capacity(room);
@@ -125,14 +128,17 @@ impl Window {
                     window.missing.push((dx, dy));
                     continue;
                 }
-                let shadow = |(other, profile): &(&Fit, Profile)| {
+                let value = |other: &Fit, profile: &Profile| {
                     let rho = (column as f64 - other.u_px).hypot(row as f64 - other.v_px) / other.radius_px;
-                    other.contrast * profile.at(rho).value
+                    profile.at(rho).value
                 };
-                let sum: f64 = near.iter().map(shadow).sum();
                 window.others.push(match model {
-                    Model::Transmission => (-sum).exp(),
-                    Model::Additive { sign, .. } => sign * sum,
+                    Model::Transmission => {
+                        near.iter().map(|(other, profile, stopped)| stopped.left(value(other, profile))).product()
+                    }
+                    Model::Additive { sign, .. } => {
+                        sign * near.iter().map(|(other, profile, _)| other.contrast * value(other, profile)).sum::<f64>()
+                    }
                 });
                 window.place.push(((column - column0) as u16, (row - row0) as u16));
                 window.dx.push(dx);

@@ -23,6 +23,8 @@ use crate::reporter::Reporter;
 
 /// Shadows of a shot: the best.
 const MOST_SHADOWS: usize = 40;
+/// Standard deviation of a radius' logarithm up to which it tells the scale.
+const MOST_RADIUS_SIGMA: f64 = 0.1;
 
 /// How shots are measured.
 #[derive(Clone, Debug, Args)]
@@ -266,13 +268,13 @@ fn shadows(frame: &Frame) -> Vec<ShotShadow> {
     let [width, height] = frame.size_px;
     let usable = mask::of_frame(frame).usable(width, height, &[Cause::Saturation, Cause::NoSignal, Cause::BurnedIn]);
     let found = detect(frame, Some(&usable), &Expectation::default()).found;
-    // A shadow's size means something where its values do.
+    // A shadow's size means something where its values do, and where blur does not hide it.
     let in_nepers = frame.domain == Domain::Log && frame.unit.as_deref() == Some("neper");
     let sized = frame.domain == Domain::Linear || in_nepers;
     let shadow = |own: &Detection| ShotShadow {
         image_px: own.image_px,
         noise_px2: own.noise_px2(),
-        radius_px: sized.then_some(own.radius_px),
+        radius_px: (sized && own.radius_sigma_ln <= MOST_RADIUS_SIGMA).then_some(own.radius_px),
     };
     let finite = |own: &&Detection| own.image_px.is_finite() && own.sigma_px.is_finite();
     found.iter().filter(finite).take(MOST_SHADOWS).map(shadow).collect()

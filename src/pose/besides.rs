@@ -42,8 +42,12 @@ impl Case<'_> {
         let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
         radii.sort_by(f64::total_cmp);
         let usual_radius_px = radii[radii.len() / 2];
+        // A faint blob of any size is not bead-sized for not knowing its own.
+        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_factor()).collect();
+        factors.sort_by(f64::total_cmp);
+        let usual_factor = factors[factors.len() / 2];
         let alike = |d: &Detection| {
-            (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0
+            (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0.hypot(d.radius_factor().min(usual_factor).ln())
                 && (d.contrast / usual).ln().abs() < ALIKE.1
                 && d.snr >= CLEAR_SNR
         };

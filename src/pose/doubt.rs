@@ -31,8 +31,6 @@ const LOOSE_CHI2: f64 = 4.0;
 const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// From here on the mirror image, and other readings than the prior's, are looked at.
 const UNEASY_CHI2: f64 = 1.5;
-/// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
-const USUAL_RADIUS: f64 = 0.97;
 /// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
 /// changes what half the depth is.
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
@@ -66,6 +64,8 @@ struct RadiusRatio {
     ratio: f64,
     /// Its standard deviation by the scatter of the beads.
     sigma: f64,
+    /// By how much its logarithm may be off for what the radii state of themselves: blur hides the same of all of them.
+    hidden: f64,
     /// What the radius of that bead should be.
     expected_px: f64,
 }
@@ -218,17 +218,22 @@ impl Case<'_> {
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
-        let Some(RadiusRatio { ratio, sigma, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
-        let off = (ratio - 1.0).abs();
-        let small = SMALL_RADIUS_PX2 / expected_px.powi(2);
+        let Some(RadiusRatio { ratio, sigma, hidden, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
+        let (off, small) = (ratio.ln().abs(), SMALL_RADIUS_PX2 / expected_px.powi(2));
+        // What blur hides is a factor: of shadows that are too small it is more than their share.
+        let gate = |share: f64| {
+            let share = share + small;
+            let known = if ratio < 1.0 { -(1.0 - share).max(0.1).ln() } else { share.ln_1p() };
+            known.hypot(hidden)
+        };
         // Radii that scatter are a doubt, and no contradiction.
-        if quantitative && !(off <= OTHER_RADIUS.1 + small + RADIUS_SIGMAS * sigma) {
+        if quantitative && !(off <= gate(OTHER_RADIUS.1) + RADIUS_SIGMAS * sigma / ratio) {
             return Err(Refusal::Radii { ratio });
         }
-        if !(off <= OTHER_RADIUS.0 + small) {
+        if !(off <= gate(OTHER_RADIUS.0)) {
             cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
-                100.0 * off,
+                100.0 * (ratio - 1.0).abs(),
                 if ratio < 1.0 { "smaller" } else { "larger" }
             ));
         }
@@ -248,11 +253,15 @@ impl Case<'_> {
             return None;
         }
         ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let own = |m: &Match| Some(self.detections.get(m.detection)?.radius_factor());
+        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).collect();
+        factors.sort_by(f64::total_cmp);
+        let hidden = factors[factors.len() / 2].ln();
         let (ratio, expected_px) = ratios[ratios.len() / 2];
         let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
         off.sort_by(f64::total_cmp);
         let sigma = SIGMA_OF_MEDIAN * off[off.len() / 2] / (off.len() as f64).sqrt();
-        Some(RadiusRatio { ratio: ratio / USUAL_RADIUS, sigma, expected_px })
+        Some(RadiusRatio { ratio, sigma, hidden, expected_px })
     }
 
     /// A second reading of the shadows that are left.

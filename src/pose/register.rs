@@ -185,10 +185,13 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         },
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
-    let mut pose = match wrong_radius(request, &pose, &|request| one(request, &detections)) {
+    let mut pose = match without_radii(request, &pose, &detections, &one) {
+        Some((without, off)) if off.is_hidden() => told_without_radii(without, off),
         // The other match is no match, and what was said of it means nothing.
-        Some(refusal) => Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(refusal),
-        None => pose,
+        Some((_, off)) if off.is_wrong() => {
+            Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(Refusal::Radii { ratio: off.ratio })
+        }
+        _ => pose,
     };
     let is_used = |seen: &&Detection| {
         pose.shadows.iter().any(|shadow| shadow.bead.is_some() && shadow.image_px == seen.image_px.to_array())
@@ -214,25 +217,72 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
     pose
 }
 
-/// That the frame gives a pose once the beads' stated radius, which bounds their depth, is left out, and how far that radius is off.
-fn wrong_radius(request: &Registration, pose: &Pose, register: &dyn Fn(&Registration) -> Pose) -> Option<Refusal> {
+/// Shadows' radii over those that a pose gives them.
+#[derive(Clone, Copy, Debug)]
+struct OffRadius {
+    /// The median.
+    ratio: f64,
+    /// By what factor it may be off for what the radii state of themselves.
+    factor: f64,
+}
+
+/// Factor by which radii may be off that are as they should be.
+const AS_STATED: f64 = 1.25;
+/// Factor from which on radii are as good as unknown.
+const UNKNOWN: f64 = 1.25;
+
+impl OffRadius {
+    fn is_wrong(self) -> bool {
+        !(self.ratio.ln().abs() <= (AS_STATED * self.factor).ln())
+    }
+
+    /// Whether blur may be all that is wrong with them.
+    fn is_hidden(self) -> bool {
+        !self.is_wrong() && self.factor > UNKNOWN
+    }
+}
+
+/// The pose that the frame gives once the beads' stated radius, which bounds their depth, is left out, and how far that radius is off.
+fn without_radii(
+    request: &Registration,
+    pose: &Pose,
+    detections: &[Detection],
+    register: &dyn Fn(&Registration, &[Detection]) -> Pose,
+) -> Option<(Pose, OffRadius)> {
     let could_be = matches!(pose.refusal, Some(Refusal::Chance { .. } | Refusal::NoMatch { .. }));
     let stated = |index: usize| request.layout.radius_mm(index, request.bead_radius_mm);
     let beads = request.layout.beads.len();
     let intrinsics = request.intrinsics.filter(|_| could_be && beads > 0 && (0..beads).all(|index| stated(index).is_some()))?;
     let mut layout = request.layout.clone();
     layout.beads.iter_mut().for_each(|bead| bead.radius_mm = None);
-    let without = register(&Registration { layout: &layout, bead_radius_mm: None, ..*request });
+    let changed = Registration { layout: &layout, bead_radius_mm: None, ..*request };
+    let without = bodies::apart(&changed, detections, register(&changed, detections), register);
     let camera_from_lps = without.camera_from_lps.filter(|_| without.is_accepted())?;
-    let ratio = |(index, bead): (usize, &BeadResidual)| {
+    let own = |bead: &BeadResidual| {
+        let index = request.layout.beads.iter().position(|other| other.name == bead.name)?;
         let shadow = without.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()))?;
-        let depth_mm = camera_from_lps.transform_point(bead.lps_mm).z;
-        Some(shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?))
+        let depth_mm = camera_from_lps.transform_point(without.place_of(&bead.body, bead.lps_mm)).z;
+        let ratio = shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?);
+        let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px);
+        Some((ratio, seen.map_or(1.0, Detection::radius_factor)))
     };
-    let mut ratios: Vec<f64> = without.beads.iter().enumerate().filter(|(_, bead)| bead.used).filter_map(ratio).collect();
+    let used = without.beads.iter().filter(|bead| bead.used);
+    let (mut ratios, mut factors): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
     ratios.sort_by(f64::total_cmp);
-    let ratio = *ratios.get(ratios.len() / 2)?;
-    (!(0.8..=1.25).contains(&ratio)).then_some(Refusal::Radii { ratio })
+    factors.sort_by(f64::total_cmp);
+    let middle = ratios.len() / 2;
+    let off = OffRadius { ratio: *ratios.get(middle)?, factor: *factors.get(middle)? };
+    Some((without, off))
+}
+
+/// A pose for which the beads' radii counted for nothing, with the words that say so.
+fn told_without_radii(mut pose: Pose, off: OffRadius) -> Pose {
+    pose.doubt(format!(
+        "blur hides the size of the shadows, which may be off by a factor of {:.1}: the beads' radii were left out of the match, and their depth \
+         rests on their places alone",
+        off.factor
+    ));
+    pose
 }
 
 impl Case<'_> {

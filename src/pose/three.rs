@@ -224,7 +224,11 @@ impl Body<'_, '_> {
             let off = nalgebra::Vector2::new(off.x, off.y);
             off.dot(&(inverse * off)) <= ROUGHLY_OFF
         };
-        let is_sized = |n: usize| radius_px.is_none_or(|px| BEAD_SIZED.contains(&(self.case.detections[n].radius_px / px)));
+        let is_sized = |n: usize| {
+            let (shadow, factor) = (&self.case.detections[n], self.case.detections[n].radius_factor());
+            radius_px
+                .is_none_or(|px| (BEAD_SIZED.start() / factor..=BEAD_SIZED.end() * factor).contains(&(shadow.radius_px / px)))
+        };
         let shadows = 0..self.case.detections.len();
         shadows.filter(|n| !self.case.barred.contains(n) && is_meant(*n) && is_sized(*n) && is_near(*n)).collect()
     }

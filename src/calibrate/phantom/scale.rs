@@ -40,9 +40,7 @@ pub struct ScaleSource {
     pub larger_by: Option<f64>,
 }
 
-/// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
-const USUAL_RADIUS: f64 = 0.97;
-/// What that share is known to, whatever the number of shadows.
+/// Share to which radii are known whatever the number of shadows: beams harden, and blur is no Gaussian.
 const RADIUS_SIGMA: f64 = 0.03;
 
 /// Evidence of the size as the problem takes it.
@@ -76,7 +74,7 @@ impl Measured {
         for bead in 0..structure.points.len() {
             for (shot, shadow) in structure.shadows_of(bead) {
                 let Some(radius_px) = shots[shot].shadows[shadow].radius_px.filter(|radius| *radius > 0.0) else { continue };
-                logs.push((radius_px / (USUAL_RADIUS * shots[shot].intrinsics.fx * radius_mm)).ln());
+                logs.push((radius_px / (shots[shot].intrinsics.fx * radius_mm)).ln());
                 of.push((bead, shot));
             }
         }

@@ -10,6 +10,7 @@ use super::flags::Flags;
 use super::model::{Fit, Model};
 use super::noise::Noise;
 use super::profile::SHAPES;
+use super::radius_sigma::among_forms;
 use super::several::{DISTURBING, MOST_MISFIT, distinct, disturbed_px, once_per_place, overlap, same};
 use super::window::Field;
 use crate::acquire::{Domain, Frame};
@@ -258,8 +259,10 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
         if models.len() == 1 || !(first.snr > 0.7 * LEAST_SNR && first.misfit < 2.0 * MOST_MISFIT) {
             return first;
         }
-        let others_fit = models[1..].iter().filter_map(|model| refit(field, *model, &first, others));
-        others_fit.fold(first, |best, next| if best.is_as_good_as(&next) { best } else { next })
+        let tried: Vec<Fit> =
+            models[1..].iter().filter_map(|model| refit(field, *model, &first, others)).chain([first]).collect();
+        let best = tried.iter().fold(first, |best, next| if best.is_as_good_as(next) { best } else { *next });
+        among_forms(best, &tried)
     };
     let screened: Vec<Option<Fit>> = candidates.par_iter().map(|c| screen(field, models[0], &guess(c), &[])).collect();
     let fits: Vec<Fit> = candidates
@@ -310,7 +313,10 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
                 if others.is_empty() {
                     return *own;
                 }
-                fit(field, own.model, &place(own), &others).filter(|fit| is_bead(fit, radius_px)).unwrap_or(*own)
+                let again = fit(field, own.model, &place(own), &others).filter(|fit| is_bead(fit, radius_px));
+                // What other forms make of the radius is not tried again.
+                let known = |fit: Fit| Fit { radius_sigma_ln: fit.radius_sigma_ln.max(own.radius_sigma_ln), ..fit };
+                again.map_or(*own, known)
             })
             .collect();
         kept = distinct(refined);

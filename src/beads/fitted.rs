@@ -56,7 +56,7 @@ struct Residuals {
 pub fn judge(finished: &Finished) -> Option<Fit> {
     let Finished { model, theta, window, weighing, .. } = *finished;
     let inverse = finished.normal.cholesky()?.inverse();
-    let (of_depth, depth_normal) = finished.equations.of_depth(finished.normal, finished.at, weighing);
+    let (of_depth, depth_normal) = finished.equations.of_depth(model, finished.normal, finished.at, weighing);
     let held = held_inverse(&depth_normal)?;
     let correlation = finished.field.noise.correlation();
     let correlated = window.is_whole && !correlation.is_white();

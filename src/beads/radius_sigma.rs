@@ -5,9 +5,10 @@
 //! r⁴: noise that leaves r⁴ uncertain by a share x leaves ln r uncertain by x/4, and from x = 1/n on, n standard deviations down there
 //! is no sphere at all. With σ the standard deviation of ln r where the fit arrived, the radius n standard deviations down is
 //! ln r + ¼ ln(1 − 4 n σ). Besides, no one knows the blur's form: what is taken for a Gaussian changes a width by a share of s², and the
-//! radius by a share of (s/r)².
+//! radius by a share of (s/r)². In grey values no one knows the curve either: forms that fit as well and differ in radius tell how little
+//! the radius is known.
 
-use super::model::Model;
+use super::model::{Fit, Model};
 
 /// Standard deviations down to which a radius must hold.
 const DOWN: f64 = 3.0;
@@ -33,6 +34,20 @@ pub fn radius_sigma_ln(model: Model, sigma_ln: f64, radius_px: f64, blur_px: f64
     let of_noise = if left > 1e-3 { -left.ln() / by_form } else { MOST };
     let sigma = (of_noise.powi(2) + (OTHER_BLUR * blur2).powi(2) + least * least).sqrt();
     if sigma < MOST { sigma } else { MOST }
+}
+
+/// χ² by which a form may fit worse than the best and be as good.
+const AS_GOOD: f64 = 9.0;
+/// Standard deviation over the largest distance of such forms in ln r.
+const BY_FORM: f64 = 0.7;
+
+/// The `best` of fits of several forms to one shadow, its radius as uncertain as they make it.
+pub fn among_forms(best: Fit, tried: &[Fit]) -> Fit {
+    let limit = AS_GOOD * best.chi2_per_dof.max(1.0);
+    let is_as_good = |fit: &&Fit| (fit.chi2_per_dof - best.chi2_per_dof) * best.dof <= limit;
+    let apart = |fit: &Fit| (fit.radius_px / best.radius_px).ln().abs();
+    let widest = tried.iter().filter(is_as_good).map(apart).fold(0.0, f64::max);
+    Fit { radius_sigma_ln: best.radius_sigma_ln.hypot(BY_FORM * widest).min(MOST), ..best }
 }
 
 #[cfg(test)]

@@ -249,11 +249,14 @@ impl Equations {
     }
 
     /// The same with the shadow's depth, as a share of itself, in place of its contrast: of metal that lets nothing pass the contrast is as
-    /// good as any, and that it is there is sure.
-    pub fn of_depth(&self, normal: &Matrix, at: &Evaluated, weighing: &Weighing) -> (Self, Matrix) {
+    /// good as any, and that it is there is sure. Of transmission the depth is in nepers, as what else lies there is.
+    pub fn of_depth(&self, model: Model, normal: &Matrix, at: &Evaluated, weighing: &Weighing) -> (Self, Matrix) {
         let mut columns = self.columns.clone();
-        let scales = weighing.trust.iter().zip(&weighing.sigma).map(|(trust, sigma)| trust.sqrt() / sigma);
-        columns[4] = scales.zip(&at.shadow).map(|(scale, shadow)| scale * shadow).collect();
+        let by_depth = |n: usize| match model {
+            Model::Transmission => at.value[n] * (at.value[n] / (at.value[n] - at.shadow[n])).ln(),
+            Model::Additive { .. } => at.shadow[n],
+        };
+        columns[4] = (0..at.value.len()).map(|n| weighing.trust[n].sqrt() / weighing.sigma[n] * by_depth(n)).collect();
         let mut normal = *normal;
         for n in 0..COUNT {
             let sum = dot(pulp::Scalar, &columns[4], &columns[n]);

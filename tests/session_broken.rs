@@ -111,7 +111,7 @@ impl Broken {
 
     /// Waits until the thread dies; gives the host time at which that was seen.
     fn death_us(&self) -> i64 {
-        self.waits("its death", || self.printed("stderr").contains("as SIDECARM_BREAKS asks"));
+        self.waits("its death", || self.printed("stderr").contains("src/session/fault.rs"));
         host_now_us()
     }
 

@@ -111,7 +111,7 @@ fn a_folder_that_is_deleted_while_frames_come_is_said_within_seconds() {
 #[test]
 fn a_log_that_may_not_grow_any_more_is_said_within_seconds() {
     let lab = ["--duration-s", "120", "--faults", "none", "--exposures", "0", "--linger-s", "30", "--rate", "10"];
-    let (Some(lab), Some((_, frame, folder))) = (Lab::start_without_ct(&lab), quiet_lab("1")) else { return };
+    let (Some(lab), Some((_, frame, folder))) = (Lab::start_without_ct(&lab), quiet_lab("30")) else { return };
     let mut files = copies(&frame, FRAMES, &folder.path().join("copies"));
     let last = files.pop().expect("frames");
     let mut live = Live::with_small_files(&lab.kit.join("session.json"), &folder.path().join("session"), 4000).recording();

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use eframe::egui::{Event, Key, Vec2};
+use eframe::egui::{Event, Key, Role, Vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
 use sidecarm::session::board::{BoardState, Link, Phase};
@@ -27,12 +27,14 @@ pub fn window(board: BoardState) -> (Harness<'static>, Rc<RefCell<ViewState>>) {
     (harness, state)
 }
 
+/// What each part of the window says, once: lines into which a text is broken repeat it.
 pub fn said(harness: &Harness) -> String {
+    let is_line = |node: &egui_kittest::Node| node.accesskit_node().role() == Role::TextRun;
     let words = |node: egui_kittest::Node| {
         let node = node.accesskit_node();
         node.label().or_else(|| node.value())
     };
-    let found: Vec<String> = harness.root().children_recursive().filter_map(words).collect();
+    let found: Vec<String> = harness.root().children_recursive().filter(|node| !is_line(node)).filter_map(words).collect();
     found.join("\n")
 }
 

@@ -112,10 +112,8 @@ impl BoardState {
         };
         // They are here now, or nowhere but in the log.
         self.away.remove(&number);
-        match (pictures, Some(pair).filter(|pair| pair.pictures.is_small())) {
-            (Some(pictures), Some(pair)) => Arc::make_mut(pair).pictures = Arc::new(pictures),
-            _ => return Vec::new(),
-        }
+        let Some(pictures) = pictures.filter(|_| pair.pictures.is_small()) else { return Vec::new() };
+        Arc::make_mut(pair).pictures = Arc::new(pictures);
         self.touch(number);
         self.make_room()
     }

@@ -134,16 +134,8 @@ fn serve(mut yard: Yard, inbox: &Receiver<Parked>, reporter: &Reporter) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::yard::example::{bits, image};
     use super::*;
-
-    fn image(size_px: [usize; 2], first: u32) -> Image<f32> {
-        let pixels = (0..size_px[0] * size_px[1]).map(|n| f32::from_bits(first.wrapping_mul(2_654_435_761) ^ n as u32)).collect();
-        Image { width: size_px[0], height: size_px[1], pixels }
-    }
-
-    fn bits(image: &Image<f32>) -> Vec<u32> {
-        image.pixels.iter().map(|value| value.to_bits()).collect()
-    }
 
     /// The thread is played by hand, so that what is asked for comes at any moment of its work.
     #[test]

@@ -117,18 +117,26 @@ fn read_at(file: &mut File, bytes: &mut [u8], at_byte: u64) -> std::io::Result<(
     file.read_exact(bytes)
 }
 
+/// Pictures that tell whether they came back.
 #[cfg(test)]
-mod tests {
+pub(super) mod example {
     use super::*;
 
-    fn image(size_px: [usize; 2], first: u32) -> Image<f32> {
+    /// Its pixels are of arbitrary bits, others for each `first`.
+    pub(crate) fn image(size_px: [usize; 2], first: u32) -> Image<f32> {
         let pixels = (0..size_px[0] * size_px[1]).map(|n| f32::from_bits(first.wrapping_mul(2_654_435_761) ^ n as u32)).collect();
         Image { width: size_px[0], height: size_px[1], pixels }
     }
 
-    fn bits(image: &Image<f32>) -> Vec<u32> {
+    pub(crate) fn bits(image: &Image<f32>) -> Vec<u32> {
         image.pixels.iter().map(|value| value.to_bits()).collect()
     }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::example::{bits, image};
+    use super::*;
 
     #[test]
     fn pictures_come_back_bit_for_bit_and_places_are_used_again() {

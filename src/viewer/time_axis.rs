@@ -13,7 +13,7 @@ const SPANS_S: [i64; 16] =
     [30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18_000, 36_000, 86_400, 172_800, 604_800, 2_592_000, 31_536_000];
 /// Between two round times, seconds.
 const STEPS_S: [i64; 19] =
-    [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 18_000, 43_200, 86_400, 604_800, 2_592_000];
+    [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21_600, 43_200, 86_400, 604_800, 2_592_000];
 const SECOND_US: i64 = 1_000_000;
 
 /// A round time on the strip.
@@ -189,6 +189,11 @@ mod tests {
         // An hour has minutes, and a month has days.
         let hour = self::axis(&[0.0, 3600.0], false, 1046.0).ticks();
         assert!(hour.iter().any(|tick| tick.label == "12:30"), "{hour:?}");
+        // Steps of hours divide a day: every fifth hour is another one each day.
+        let days = self::axis(&[0.0, 40.0 * 3600.0], false, 1046.0).ticks();
+        for label in ["18:00", "00:00", "06:00"] {
+            assert!(days.iter().any(|tick| tick.label == label), "{label}: {days:?}");
+        }
         let month = self::axis(&[0.0, 30.0 * 86_400.0], false, 1046.0).ticks();
         assert!(month.iter().any(|tick| tick.label == "03-07") && month.len() < 40, "{month:?}");
         // Times of no calendar do no harm.

@@ -7,7 +7,7 @@
 use nalgebra::Matrix6;
 
 use super::besides::Besides;
-use super::case::{Case, GATE};
+use super::case::{Case, GATE, median};
 use super::cautions::Cautions;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
@@ -15,7 +15,7 @@ use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Match, about, deviation};
-use crate::beads::Probe;
+use crate::beads::{Detection, Probe};
 use crate::geometry::Rigid;
 
 /// So many beads may be missing, or migrated, from a sound layout.
@@ -253,14 +253,10 @@ impl Case<'_> {
             return None;
         }
         ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let own = |m: &Match| Some(self.detections.get(m.detection)?.radius_factor());
-        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).collect();
-        factors.sort_by(f64::total_cmp);
-        let hidden = factors[factors.len() / 2].ln();
+        let hidden = self.usual(&last.matches, Detection::radius_factor)?.ln();
         let (ratio, expected_px) = ratios[ratios.len() / 2];
-        let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
-        off.sort_by(f64::total_cmp);
-        let sigma = SIGMA_OF_MEDIAN * off[off.len() / 2] / (off.len() as f64).sqrt();
+        let off = median(ratios.iter().map(|other| (other.0 - ratio).abs()))?;
+        let sigma = SIGMA_OF_MEDIAN * off / (ratios.len() as f64).sqrt();
         Some(RadiusRatio { ratio, sigma, hidden, expected_px })
     }
 

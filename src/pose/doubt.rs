@@ -31,8 +31,8 @@ const LOOSE_CHI2: f64 = 4.0;
 const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// From here on the mirror image, and other readings than the prior's, are looked at.
 const UNEASY_CHI2: f64 = 1.5;
-/// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
-/// changes what half the depth is.
+/// Relative differences of the radius from which on it is said, and refused, where nothing hides any. Of grey values of unknown scale it is
+/// only said: their curve changes what half the depth is.
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
 /// Radii of few pixels are measured worse: so much more by the square of the radius, px².
 const SMALL_RADIUS_PX2: f64 = 0.3;

@@ -112,20 +112,10 @@ fn taken() -> Option<Vec<Taken>> {
     let layout = BeadLayout {
         beads: (0..)
             .zip(&beads)
-            .map(|(i, p)| Bead {
-                name: format!("B{i}"),
-                body: "specimen".to_owned(),
-                lps_mm: *p,
-                radius_mm: Some(RADIUS_MM),
-                sigma_mm: Some(0.0),
-                covariance_mm2: None,
-            })
+            .map(|(i, p)| Bead { radius_mm: Some(RADIUS_MM), sigma_mm: Some(0.0), ..Bead::new(format!("B{i}"), *p) })
             .collect(),
         source: "test".to_owned(),
-        checks: Vec::new(),
-        notes: Vec::new(),
-        doubts: Vec::new(),
-        refused: None,
+        ..BeadLayout::none()
     };
     let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("CPU");
     let mut found = Vec::new();
@@ -217,20 +207,14 @@ fn real_fluoroscopy_is_display_and_is_refused() {
     let Some(folder) = data("fluoroscopy-hip") else { return };
     let layout = BeadLayout {
         beads: (0..8)
-            .map(|i| Bead {
-                name: format!("B{i}"),
-                body: "specimen".to_owned(),
-                lps_mm: DVec3::new(f64::from(i % 2) * 80.0 - 40.0, f64::from(i / 2 % 2) * 70.0 - 35.0, f64::from(i) * 9.0 - 30.0),
-                radius_mm: Some(RADIUS_MM),
-                sigma_mm: None,
-                covariance_mm2: None,
+            .map(|i| {
+                let at =
+                    DVec3::new(f64::from(i % 2) * 80.0 - 40.0, f64::from(i / 2 % 2) * 70.0 - 35.0, f64::from(i) * 9.0 - 30.0);
+                Bead { radius_mm: Some(RADIUS_MM), ..Bead::new(format!("B{i}"), at) }
             })
             .collect(),
         source: "test".to_owned(),
-        checks: Vec::new(),
-        notes: Vec::new(),
-        doubts: Vec::new(),
-        refused: None,
+        ..BeadLayout::none()
     };
     let frame = read_frame(&folder.join("frame-04.dcm"), None).expect("reads");
     assert_eq!(frame.domain, Domain::Display);

@@ -277,7 +277,9 @@ fn a_radius_that_all_shadows_contradict_is_named() {
     }
 }
 
-/// In a linear picture the size of the shadows is a measure: within 10 % nothing is said, to 15 % it is a caution, beyond it there is no pose.
+/// In a linear picture the size of the shadows is a measure. From 10 % on another one is said, from 15 % on refused, and both give way to what the
+/// radii state of themselves: blur's form leaves a clear one known to 2 % at best, of which two standard deviations count, and few pixels hide
+/// more (3 % of these, of 3 px). That makes about 14 % and 20 %: between them a pose is refused or says so, beyond them there is none.
 #[test]
 fn in_a_linear_picture_another_radius_is_no_pose() {
     let (truth, view) = (synthetic::layout(10, 1.0, 5), synthetic::view(620, 480, 8));
@@ -291,11 +293,11 @@ fn in_a_linear_picture_another_radius_is_no_pose() {
     let said = |pose: &Pose| pose.cautions.iter().any(|caution| caution.contains("the shadows are"));
     let sound = with_radius(1.0);
     assert!(sound.is_accepted() && !said(&sound), "{:?} {:?}", sound.reason, sound.cautions);
-    let small = with_radius(0.87);
+    let small = with_radius(0.85);
     assert!(!small.is_accepted() || said(&small), "{:?} {:?}", small.reason, small.cautions);
     for factor in [0.8, 1.3] {
         let pose = with_radius(factor);
-        assert!(!pose.is_accepted(), "{factor}: {:?}", pose.cautions);
+        assert!(matches!(pose.refusal, Some(Refusal::Radii { .. })), "{factor}: {:?} {:?}", pose.reason, pose.cautions);
     }
     // The slip that people make is named where the size is that of one.
     for (ratio, slip) in [(0.52, "a diameter"), (10.0, "centimetres"), (0.1, "decimal point"), (1.4, "")] {

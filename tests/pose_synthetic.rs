@@ -55,22 +55,8 @@ pub fn layout(count: usize, radius_mm: f64, seed: u64) -> BeadLayout {
 }
 
 pub fn layout_of(places: &[DVec3], radius_mm: f64) -> BeadLayout {
-    let bead = |(n, lps_mm): (usize, &DVec3)| Bead {
-        name: format!("b{n}"),
-        body: "specimen".to_owned(),
-        lps_mm: *lps_mm,
-        radius_mm: Some(radius_mm),
-        sigma_mm: None,
-        covariance_mm2: None,
-    };
-    BeadLayout {
-        beads: places.iter().enumerate().map(bead).collect(),
-        source: "synthetic".to_owned(),
-        checks: Vec::new(),
-        notes: Vec::new(),
-        doubts: Vec::new(),
-        refused: None,
-    }
+    let bead = |(n, lps_mm): (usize, &DVec3)| Bead { radius_mm: Some(radius_mm), ..Bead::new(format!("b{n}"), *lps_mm) };
+    BeadLayout { beads: places.iter().enumerate().map(bead).collect(), source: "synthetic".to_owned(), ..BeadLayout::none() }
 }
 
 pub fn radiograph(view: View, layout: &BeadLayout, photons: f64, seed: u64) -> Radiograph {

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
-use sidecarm::beads::{Bead, BeadLayout, DEFAULT_BODY};
+use sidecarm::beads::{Bead, BeadLayout};
 use sidecarm::calibrate::intensifier::measure_glare;
 use sidecarm::compare::{bead_marks, posed_scene};
 use sidecarm::geometry::{ConsoleGeometry, Distortion, Glare, Intensifier, View, homogeneous_rows, term_count};
@@ -65,14 +65,7 @@ fn dark_centre(page: &Image<f32>, near: DVec2, reach_px: f64) -> DVec2 {
 
 /// Where a pose that lists the balls as beads has their marks in the scene's view; a ball is 0.9 mm in radius.
 fn marks_of(balls: &[(DVec3, f64)], scene: &Scene) -> Vec<(DVec2, f64)> {
-    let bead = |(n, (at, _)): (usize, &(DVec3, f64))| Bead {
-        name: n.to_string(),
-        body: DEFAULT_BODY.to_owned(),
-        lps_mm: *at,
-        radius_mm: None,
-        sigma_mm: None,
-        covariance_mm2: None,
-    };
+    let bead = |(n, (at, _)): (usize, &(DVec3, f64))| Bead::new(n.to_string(), *at);
     let layout = BeadLayout { beads: balls.iter().enumerate().map(bead).collect(), ..BeadLayout::none() };
     let view = scene.view.expect("has one");
     let listed = Registration::new(view.size_px, &layout).refuse(&Refusal::Fault { detail: "not looked for".to_owned() });

@@ -180,14 +180,8 @@ impl Scene {
     }
 
     fn layout(&self) -> BeadLayout {
-        let bead = |(n, at): (usize, &DVec3)| Bead {
-            name: format!("B{n}"),
-            body: "specimen".to_owned(),
-            lps_mm: *at,
-            radius_mm: Some(0.75),
-            sigma_mm: Some(0.05),
-            covariance_mm2: None,
-        };
+        let bead =
+            |(n, at): (usize, &DVec3)| Bead { radius_mm: Some(0.75), sigma_mm: Some(0.05), ..Bead::new(format!("B{n}"), *at) };
         BeadLayout { beads: self.beads.iter().enumerate().map(bead).collect(), ..BeadLayout::none() }
     }
 

@@ -81,18 +81,14 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         if is_positive(&of_noise) {
             covariance = of_noise;
         }
-        let [by_depth] = of_depth.influence(&held, weighing, [4]);
-        let grid = window.on_grid(&by_depth);
-        let of_noise = form(&grid, &grid);
-        if of_noise > 0.0 {
-            depth_variance = of_noise;
-        }
-        let [by_radius] = finished.equations.influence(&inverse, weighing, [2]);
-        let grid = window.on_grid(&by_radius);
-        let of_noise = form(&grid, &grid);
-        if of_noise > 0.0 {
-            radius_variance = of_noise + of_priors(model, &inverse);
-        }
+        let variance_of = |equations: &Equations, inverse: &Matrix, parameter: usize| {
+            let [by_parameter] = equations.influence(inverse, weighing, [parameter]);
+            let grid = window.on_grid(&by_parameter);
+            Some(form(&grid, &grid)).filter(|variance| *variance > 0.0)
+        };
+        depth_variance = variance_of(&of_depth, &held, 4).unwrap_or(depth_variance);
+        radius_variance = variance_of(finished.equations, &inverse, 2)
+            .map_or(radius_variance, |variance| variance + of_priors(model, &inverse));
     }
     let structure = structure(finished, &inverse, &residuals.clustered, scale)?;
     let structure_px = (0.5 * (structure[0][0] + structure[1][1])).sqrt();

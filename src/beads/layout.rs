@@ -29,6 +29,12 @@ pub struct Bead {
 }
 
 impl Bead {
+    /// Of the default body, with nothing stated of its radius and of how well its place is known.
+    #[must_use]
+    pub fn new(name: impl Into<String>, lps_mm: DVec3) -> Self {
+        Self { name: name.into(), body: DEFAULT_BODY.to_owned(), lps_mm, radius_mm: None, sigma_mm: None, covariance_mm2: None }
+    }
+
     /// `sigma_mm`, or [`DEFAULT_SIGMA_MM`].
     #[must_use]
     pub fn sigma_or_default_mm(&self) -> f64 {

@@ -153,10 +153,9 @@ impl Maxima {
         }
         map
     }
-}
 
-impl Maxima {
-    /// Clears what hangs together, corner to corner as well, and is shorter than a chain must be.
+    /// Clears what hangs together, corner to corner as well, and is shorter than a chain must be. Starts from the maxima, which are few of the
+    /// pixels that `mask::components` would look at.
     fn drop_short_chains(&self, candidates: &mut Image<bool>) {
         let (width, height) = (self.width, self.height);
         let mut seen = vec![false; candidates.pixels.len()];

@@ -184,7 +184,7 @@ mod tests {
     use glam::{DQuat, DVec3};
 
     use super::*;
-    use crate::beads::{Bead, BeadLayout, DEFAULT_BODY};
+    use crate::beads::{Bead, BeadLayout};
     use crate::geometry::{ConsoleGeometry, Intrinsics, Rigid};
     use crate::pose::{Refusal, Registration, Shadow};
     use crate::render::Origin;
@@ -230,14 +230,7 @@ mod tests {
     #[test]
     fn a_bead_is_as_large_as_it_is_stated_to_be_else_as_it_is_seen() {
         let (lps_mm, full) = (DVec3::ZERO, full_view());
-        let bead = |name: &str| Bead {
-            name: name.to_owned(),
-            body: DEFAULT_BODY.to_owned(),
-            lps_mm,
-            radius_mm: None,
-            sigma_mm: None,
-            covariance_mm2: None,
-        };
+        let bead = |name: &str| Bead::new(name, lps_mm);
         let layout = BeadLayout { beads: ["stated", "seen", "neither"].map(bead).to_vec(), ..BeadLayout::none() };
         let rows = Registration::new(full.size_px, &layout).refuse(&Refusal::Fault { detail: "not looked for".to_owned() });
         let shadow = |name: &str| Shadow {

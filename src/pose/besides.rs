@@ -29,26 +29,22 @@ pub struct Besides {
 
 impl Case<'_> {
     pub fn besides(&self, last: &Settled) -> Besides {
-        let own = |m: &Match| self.detections.get(m.detection).copied();
-        let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
-        contrasts.sort_by(f64::total_cmp);
-        let Some(usual) = contrasts.get(contrasts.len() / 2).copied() else { return Besides::default() };
+        let usual = |of: fn(&Detection) -> f64| self.usual(&last.matches, of);
+        let (Some(usual_contrast), Some(usual_radius_px), Some(usual_factor)) =
+            (usual(|d| d.contrast), usual(|d| d.radius_px), usual(Detection::radius_factor))
+        else {
+            return Besides::default();
+        };
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
         let layout = self.request.layout;
         let mut besides = Besides::default();
         let radius_at = |depth_mm: f64, index: usize| {
             layout.radius_mm(index, self.request.bead_radius_mm).map(|radius_mm| k.fx * radius_mm / depth_mm)
         };
-        let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
-        radii.sort_by(f64::total_cmp);
-        let usual_radius_px = radii[radii.len() / 2];
         // A faint blob of any size is not bead-sized for not knowing its own.
-        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_factor()).collect();
-        factors.sort_by(f64::total_cmp);
-        let usual_factor = factors[factors.len() / 2];
         let alike = |d: &Detection| {
             (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0.hypot(d.radius_factor().min(usual_factor).ln())
-                && (d.contrast / usual).ln().abs() < ALIKE.1
+                && (d.contrast / usual_contrast).ln().abs() < ALIKE.1
                 && d.snr >= CLEAR_SNR
         };
         let explained = |n: usize| {
@@ -85,7 +81,7 @@ impl Case<'_> {
             }
             // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
             let contrast = probe.contrast(in_frame, radius_px);
-            let is_there = contrast.is_none_or(|(contrast, sigma)| !(contrast + SIGMAS * sigma < LEAST_SHARE * usual));
+            let is_there = contrast.is_none_or(|(contrast, sigma)| !(contrast + SIGMAS * sigma < LEAST_SHARE * usual_contrast));
             if !is_there {
                 besides.missing.push(bead.name.clone());
             }

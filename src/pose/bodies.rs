@@ -2,7 +2,8 @@
 //!
 //! The camera is that of the body with most beads. A body's place is lps_from_body = camera_from_lps⁻¹ · camera_from_body, where
 //! camera_from_body is the pose that its own beads give. It has moved when that differs from the identity by more than both poses'
-//! covariances allow (χ² with six degrees of freedom), or than residuals allow where no deviation of the places is stated. Where but three of its beads are seen, a prior must say where it is expected.
+//! covariances allow (χ² with six degrees of freedom), or than residuals allow where no deviation of the places is stated. Where but three of
+//! its beads are seen, a prior must say where it is expected.
 
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
@@ -199,8 +200,8 @@ fn motion(request: &Registration, name: &str, first: &Pose, Placed { pose, off }
         None => (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)],
     };
     let solved = if request.intrinsics.is_none() || request.intrinsics_prior.is_some() { 3 } else { 0 };
-    // Where residuals are smaller than what is taken for them, so is what may be an accident; but a K that is a little off shifts bodies against each
-    // other along the beam, and leaves next to nothing in the residuals.
+    // Where residuals are smaller than what is taken for them, so is what may be an accident; but a K that is a little off shifts bodies
+    // against each other along the beam, and leaves next to nothing in the residuals.
     let by_residuals = |tightness: Tightness| {
         let apart_mm = first.centroid_lps_mm.map_or(0.0, |other| other.distance(centre_lps));
         let mut covariance = covariance * tightness.variance;

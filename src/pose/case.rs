@@ -15,7 +15,7 @@ use super::refusal::{Refusal, Rival};
 use super::request::Registration;
 use super::search::{Found, Hypothesis, ROUGH_GATE, Search};
 use super::shadow::Shadow;
-use super::solve::{Free, image_by_point, point_by_pose};
+use super::solve::{Free, Match, image_by_point, point_by_pose};
 use super::tables::{Depths, Target};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
@@ -47,6 +47,13 @@ pub(super) struct Case<'a> {
     pub heard: RefCell<Vec<RejectedReading>>,
 }
 
+/// The middle one of `values`, of an even number the upper; `None` where there are none.
+pub(super) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
 impl<'a> Case<'a> {
     /// Takes a person's correspondences to the shadows that they mean.
     pub fn new(request: &'a Registration<'a>, detections: &'a [Detection], probe: Option<Probe<'a>>) -> Result<Self, Refusal> {
@@ -69,6 +76,11 @@ impl<'a> Case<'a> {
         pinned.extend(of_hand);
         let (everywhere, heard) = (RefCell::default(), RefCell::default());
         Ok(Self { request, detections, pinned, barred, probe, without_prior: false, everywhere, heard })
+    }
+
+    /// The median of what `of` says of the shadows of `matches`; `None` where there are none.
+    pub fn usual<'m>(&self, matches: impl IntoIterator<Item = &'m Match>, of: impl Fn(&Detection) -> f64) -> Option<f64> {
+        median(matches.into_iter().filter_map(|m| self.detections.get(m.detection)).map(of))
     }
 
     /// The answer that there is no pose, with what the frame shows.

@@ -7,7 +7,7 @@
 use nalgebra::Matrix6;
 
 use super::besides::Besides;
-use super::case::{Case, GATE};
+use super::case::{Case, GATE, median};
 use super::cautions::Cautions;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
@@ -15,7 +15,7 @@ use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Match, about, deviation};
-use crate::beads::Probe;
+use crate::beads::{Detection, Probe};
 use crate::geometry::Rigid;
 
 /// So many beads may be missing, or migrated, from a sound layout.
@@ -31,8 +31,8 @@ const LOOSE_CHI2: f64 = 4.0;
 const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// From here on the mirror image, and other readings than the prior's, are looked at.
 const UNEASY_CHI2: f64 = 1.5;
-/// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
-/// changes what half the depth is.
+/// Relative differences of the radius from which on it is said, and refused, where nothing hides any. Of grey values of unknown scale it is
+/// only said: their curve changes what half the depth is.
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
 /// Radii of few pixels are measured worse: so much more by the square of the radius, px².
 const SMALL_RADIUS_PX2: f64 = 0.3;
@@ -253,14 +253,10 @@ impl Case<'_> {
             return None;
         }
         ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let own = |m: &Match| Some(self.detections.get(m.detection)?.radius_factor());
-        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).collect();
-        factors.sort_by(f64::total_cmp);
-        let hidden = factors[factors.len() / 2].ln();
+        let hidden = self.usual(&last.matches, Detection::radius_factor)?.ln();
         let (ratio, expected_px) = ratios[ratios.len() / 2];
-        let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
-        off.sort_by(f64::total_cmp);
-        let sigma = SIGMA_OF_MEDIAN * off[off.len() / 2] / (off.len() as f64).sqrt();
+        let off = median(ratios.iter().map(|other| (other.0 - ratio).abs()))?;
+        let sigma = SIGMA_OF_MEDIAN * off / (ratios.len() as f64).sqrt();
         Some(RadiusRatio { ratio, sigma, hidden, expected_px })
     }
 

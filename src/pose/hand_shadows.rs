@@ -58,11 +58,8 @@ impl Case<'_> {
         let Some(probe) = &self.probe else { return };
         let put: Vec<DVec2> = self.request.by_hand.put_px().map(|at| self.request.straight(at)).collect();
         let of_hand = |m: &Match| put.iter().any(|at| self.detections[m.detection].image_px == *at);
-        let mut contrasts: Vec<f64> =
-            last.matches.iter().filter(|m| !of_hand(m)).map(|m| self.detections[m.detection].contrast).collect();
-        contrasts.sort_by(f64::total_cmp);
         // Where a hand put all of them, the picture's own shadows say what a bead is like.
-        let usual = contrasts.get(contrasts.len() / 2).copied();
+        let usual = self.usual(last.matches.iter().filter(|m| !of_hand(m)), |shadow| shadow.contrast);
         for m in last.matches.iter().filter(|m| of_hand(m)) {
             let shadow = &self.detections[m.detection];
             let usual = usual.unwrap_or(shadow.contrast);

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::case::Case;
 use super::cautions::Cautions;
 use super::settle::Settled;
-use super::solve::Match;
+use crate::beads::Detection;
 
 /// A shadow so far from a bead's place may still be that bead's, mm at its depth.
 const REACH_MM: f64 = 12.0;
@@ -47,17 +47,13 @@ impl Case<'_> {
     /// Beads that the pose does not rest on and that are off by the same, and by how much.
     fn moved_together(&self, last: &Settled) -> Option<(Vec<String>, DVec2)> {
         let beads = &self.request.layout.beads;
-        let mut radii: Vec<f64> = last.matches.iter().filter_map(|m| Some(self.detections.get(m.detection)?.radius_px)).collect();
-        radii.sort_unstable_by(f64::total_cmp);
-        let usual_px = *radii.get(radii.len() / 2)?;
-        // A faint blob of any size is not bead-sized for not knowing its own.
-        let own = |m: &Match| Some(self.detections.get(m.detection)?.radius_factor());
-        let mut factors: Vec<f64> = last.matches.iter().filter_map(own).collect();
-        factors.sort_unstable_by(f64::total_cmp);
-        let usual_factor = *factors.get(factors.len() / 2)?;
+        let usual_px = self.usual(&last.matches, |shadow| shadow.radius_px)?;
+        let usual_factor = self.usual(&last.matches, Detection::radius_factor)?;
         let is_free = |n: usize| !last.matches.iter().chain(last.merged.iter().map(|(m, _)| m)).any(|m| m.detection == n);
         let is_sized = |n: usize| {
-            let (shadow, factor) = (&self.detections[n], self.detections[n].radius_factor().min(usual_factor));
+            let shadow = &self.detections[n];
+            // A faint blob of any size is not bead-sized for not knowing its own.
+            let factor = shadow.radius_factor().min(usual_factor);
             (BEAD_SIZED.start / factor..BEAD_SIZED.end * factor).contains(&(shadow.radius_px / usual_px))
         };
         let free: Vec<DVec2> =

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use glam::DVec3;
 
 use super::bodies;
-use super::case::Case;
+use super::case::{Case, median};
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
 use super::record::Pose;
@@ -267,11 +267,8 @@ fn without_radii(
         Some((ratio, seen.map_or(1.0, Detection::radius_factor)))
     };
     let used = without.beads.iter().filter(|bead| bead.used);
-    let (mut ratios, mut factors): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
-    ratios.sort_by(f64::total_cmp);
-    factors.sort_by(f64::total_cmp);
-    let middle = ratios.len() / 2;
-    let off = OffRadius { ratio: *ratios.get(middle)?, factor: *factors.get(middle)? };
+    let (ratios, factors): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
+    let off = OffRadius { ratio: median(ratios)?, factor: median(factors)? };
     Some((without, off))
 }
 

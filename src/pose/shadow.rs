@@ -17,7 +17,7 @@ pub struct Shadow {
     pub covariance_px2: Option<[[f64; 2]; 2]>,
     /// Fitted radius.
     pub radius_px: f64,
-    /// Contrast over the noise.
+    /// Depth over its standard deviation.
     pub snr: f64,
     /// In (0, 1]: how much it looks like a bead and like the others. Absent where the file does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -13,8 +13,8 @@ pub(super) struct Tightness {
 }
 
 impl Tightness {
-    /// Of the beads that each of `poses` rests on, of which `solved` parameters besides the six of each are free; `None` where the layout states how well
-    /// a place is known, or too few beads are there to tell.
+    /// Of the beads that each of `poses` rests on, of which `solved` parameters besides the six of each are free; `None` where the layout
+    /// states how well a place is known, or too few beads are there to tell.
     pub fn of(layout: &BeadLayout, poses: [&Pose; 2], solved: usize) -> Option<Self> {
         if layout.beads.iter().any(|bead| bead.sigma_mm.is_some() || bead.covariance_mm2.is_some()) {
             return None;
@@ -33,8 +33,8 @@ impl Tightness {
         (freedom > 0.0 && sum.is_finite()).then(|| Self { variance: (sum / freedom).max(f64::MIN_POSITIVE), freedom })
     }
 
-    /// Chance that bodies which have not moved lie apart by this χ² of six degrees of freedom, counted in the variance that residuals have: the distribution
-    /// of a sixth of it is Fisher's F with 6 and `freedom` degrees.
+    /// Chance that bodies which have not moved lie apart by this χ² of six degrees of freedom, counted in the variance that residuals have:
+    /// the distribution of a sixth of it is Fisher's F with 6 and `freedom` degrees.
     pub fn chance(&self, chi2: f64) -> f64 {
         let (half, x) = (0.5 * self.freedom, self.freedom / (self.freedom + chi2));
         // The incomplete beta function whose second parameter is three.

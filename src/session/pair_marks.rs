@@ -40,27 +40,19 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::beads::{Bead, BeadLayout, DEFAULT_BODY};
+    use crate::beads::{Bead, BeadLayout};
     use crate::geometry::{Intrinsics, Rigid};
     use crate::pose::{Pose, Refusal, Registration};
     use crate::report::figures::Form;
 
     fn pose() -> Pose {
-        let bead = |(name, lps_mm): (&str, DVec3)| Bead {
-            name: name.to_owned(),
-            body: DEFAULT_BODY.to_owned(),
-            lps_mm,
-            radius_mm: None,
-            sigma_mm: None,
-            covariance_mm2: None,
-        };
         let places = [
             ("middle", DVec3::ZERO),
             ("right", DVec3::new(3.0, 0.0, 0.0)),
             ("outside", DVec3::new(90.0, 0.0, 0.0)),
             ("behind", DVec3::new(0.0, 0.0, -700.0)),
         ];
-        let layout = BeadLayout { beads: places.map(bead).to_vec(), ..BeadLayout::none() };
+        let layout = BeadLayout { beads: places.map(|(name, lps_mm)| Bead::new(name, lps_mm)).to_vec(), ..BeadLayout::none() };
         let few = Refusal::TooFewShadows { found: 1, required: 4, prior_puts_into_frame: None };
         let mut pose = Registration::new([100, 80], &layout).refuse(&few);
         // What registration tried before it gave up.

@@ -12,7 +12,7 @@ use super::report::{LeftOutBead, LeftOutShot, MeasuredBead, Phantom, ShotUsed};
 use super::scale::{Distance, Measured, Scale, ScaleSource};
 use super::shot::{CameraErrors, PhantomShot, ShotShadow};
 use super::structure::Structure;
-use crate::beads::{Bead, BeadLayout, DEFAULT_BODY};
+use crate::beads::{Bead, BeadLayout};
 use crate::calibrate::layout::score;
 use crate::estimate::{Covariance, Estimate, VectorBlock};
 use crate::geometry::Intrinsics;
@@ -380,14 +380,8 @@ fn log10_chance(shots: &[PhantomShot], structure: &Structure, rms_px: f64) -> f6
 }
 
 fn warnings(beads: &[MeasuredBead]) -> Vec<String> {
-    let bead = |bead: &MeasuredBead| Bead {
-        name: bead.name.clone(),
-        body: DEFAULT_BODY.to_owned(),
-        lps_mm: DVec3::from_array(bead.mm),
-        radius_mm: None,
-        sigma_mm: Some(bead.sigma_mm),
-        covariance_mm2: None,
-    };
+    let bead =
+        |bead: &MeasuredBead| Bead { sigma_mm: Some(bead.sigma_mm), ..Bead::new(bead.name.clone(), DVec3::from_array(bead.mm)) };
     let layout = BeadLayout { beads: beads.iter().map(bead).collect(), ..BeadLayout::none() };
     score(&layout, COINCIDING_MM, None).warnings
 }

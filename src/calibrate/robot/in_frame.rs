@@ -68,8 +68,9 @@ impl SeenTip {
     }
 }
 
-/// The robot in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
-/// is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure. `cancelled` is asked now and then.
+/// The robot in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen;
+/// `None` where the robot is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure.
+/// `cancelled` is asked now and then.
 ///
 /// # Errors
 /// When the scene has no robot, or its metals no attenuation, or it is cancelled.

@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Vector2};
 
 use super::setup::{Observation, Setup};
+use crate::pose::case::median;
 use crate::pose::record::Pose;
 use crate::pose::residual::noise_px2;
 use crate::pose::shadow::Shadow;
@@ -64,9 +65,8 @@ fn in_view(setup: &Setup, bead: usize, view: usize, pose: &Pose) -> Vec<Candidat
     if !(p.z > 1.0) {
         return Vec::new();
     }
-    let mut radii: Vec<f64> = pose.shadows.iter().filter(|s| s.bead.is_some()).map(|s| s.radius_px).collect();
-    radii.sort_by(f64::total_cmp);
-    let Some(usual_px) = radii.get(radii.len() / 2) else { return Vec::new() };
+    let matched = pose.shadows.iter().filter(|s| s.bead.is_some());
+    let Some(usual_px) = median(matched.map(|s| s.radius_px)) else { return Vec::new() };
     let (at, reach_px) = (k.project(p), REACH_MM * k.fx / p.z);
     let body_from_camera = camera_from_body.inverse();
     let name = setup.layout.beads[bead].name.as_str();

@@ -259,12 +259,18 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     plan.predicted_ms = plan.predicted_ms.map(|ms| ms + network_ms);
     // A GPU's part is not predicted; a network's is known.
     let predicted_ms = plan.predicted_ms.unwrap_or(network_ms);
-    if let Some(budget_ms) = args.budget_ms.filter(|budget_ms| !args.reference && !(predicted_ms <= *budget_ms)) {
-        let (words, advice) = over_budget(budget_ms, predicted_ms, network_ms);
-        plan.say("budget", false, words.clone());
-        reporter.warn("budget", format_args!("--budget-ms {words}; {advice}"));
-    } else if let Some(said) = plan.choices.iter().find(|choice| choice.what == "budget") {
-        reporter.warn("budget", format_args!("--budget-ms {}", said.why));
+    let with_network = args.budget_ms.filter(|budget_ms| network_ms > 0.0 && !args.reference && !(predicted_ms <= *budget_ms));
+    if let Some(budget_ms) = with_network {
+        // In place of what the planner says of the time that the network left.
+        plan.say("budget", false, over_budget(budget_ms, predicted_ms, network_ms));
+    }
+    if let Some(said) = plan.choices.iter().find(|choice| choice.what == "budget") {
+        let advice = match (with_network, plan.predicted_ms) {
+            (Some(_), _) => "model.scatter \"off\" asks no network; fewer pixels, or a GPU, render faster",
+            (None, Some(_)) => "fewer pixels, or a GPU, would be faster",
+            (None, None) => "fewer pixels would be faster",
+        };
+        reporter.warn("budget", format_args!("--budget-ms {}; {advice}", said.why));
     }
     let asked = Asked { gpu: renderer.gpu(), ..asked };
     if options.scatter.is_none() {
@@ -339,14 +345,12 @@ fn goal(args: &RenderArgs) -> Result<Option<Goal>, RenderCommandError> {
     })
 }
 
-/// What to say of a time that the fastest plan does not keep, of which a network has taken `network_ms`, and what would be faster.
-fn over_budget(budget_ms: f64, predicted_ms: f64, network_ms: f64) -> (String, &'static str) {
-    let words = format!("{budget_ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms");
-    if network_ms > 0.0 {
-        let advice = "model.scatter \"off\" asks no network; fewer pixels, or a GPU, render faster";
-        return (format!("{words}, of which the scatter network takes {network_ms:.2} ms"), advice);
-    }
-    (words, "fewer pixels, or a GPU, would be faster")
+/// What to say of a time that the fastest plan does not keep, of which a network has taken `network_ms`.
+fn over_budget(budget_ms: f64, predicted_ms: f64, network_ms: f64) -> String {
+    format!(
+        "{budget_ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms, of which the scatter network takes \
+         {network_ms:.2} ms"
+    )
 }
 
 fn range(rendered: &Rendered) -> (f32, f32) {

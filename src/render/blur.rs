@@ -11,7 +11,7 @@ use crate::geometry::View;
 use crate::scene::model::Scene;
 
 /// A core takes at least so many pixels at a time, where each is for itself.
-const FEWEST_PX: usize = 4096;
+pub(super) const FEWEST_PX: usize = 4096;
 
 /// Full width at half maximum of a Gaussian over its σ: 2 √(2 ln 2).
 pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949;

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::RenderError;
+use super::blur::FEWEST_PX;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::enlarge_density::enlarge_density;
 use super::cpu::integrate_block::BLOCK;
@@ -65,7 +66,7 @@ pub(super) fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, nois
     // NaN counts as beyond.
     let beyond =
         |pixel: &usize| paths(*pixel).iter().zip(&plan.fitted_up_to_g_per_cm2).any(|(path, up_to)| !(f64::from(*path) <= *up_to));
-    let pixels: Vec<usize> = (0..cast.density.valid.len()).into_par_iter().with_min_len(4096).filter(beyond).collect();
+    let pixels: Vec<usize> = (0..cast.density.valid.len()).into_par_iter().with_min_len(FEWEST_PX).filter(beyond).collect();
     if pixels.is_empty() || cast.signal.line_integral.is_empty() {
         return Ok(());
     }

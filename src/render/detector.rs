@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::Quantity;
-use super::blur::{FWHM_PER_SIGMA, blur, blur_line_integral, mirror};
+use super::blur::{FEWEST_PX, FWHM_PER_SIGMA, blur, blur_line_integral, mirror};
 use super::cpu::attenuate_spectrum::Signal;
 use super::flood::Flood;
 use crate::geometry::View;
@@ -17,7 +17,7 @@ pub fn expected_photons(signal: &Signal, flood: &Flood) -> Vec<f32> {
     let number = |(pixel, (arriving, factor)): (usize, (&super::cpu::attenuate_spectrum::Arriving, &f32))| {
         (n0 * f64::from(*factor) * flood.open(pixel) * f64::from(arriving.photon_fraction)) as f32
     };
-    signal.arriving.par_iter().zip(&flood.photons).enumerate().with_min_len(4096).map(number).collect()
+    signal.arriving.par_iter().zip(&flood.photons).enumerate().with_min_len(FEWEST_PX).map(number).collect()
 }
 
 /// −ln of the noise-free intensity as the panel shows it: what arrives, times the open share, spread by the scintillator. +∞ where
@@ -27,7 +27,7 @@ pub fn seen_line_integral(scene: &Scene, view: &View, arriving: &[f32], flood: &
     let close = |(pixel, line): (usize, &f32)| *line - flood.open(pixel).ln() as f32;
     let mut line: Vec<f32> = match flood.open.is_empty() {
         true => arriving.to_vec(),
-        false => arriving.par_iter().enumerate().with_min_len(4096).map(close).collect(),
+        false => arriving.par_iter().enumerate().with_min_len(FEWEST_PX).map(close).collect(),
     };
     if scene.detector.panel.blur_fwhm_mm > 0.0 {
         blur_line_integral(&mut line, view.size_px.map(|n| n as usize), scintillator_sigma_px(scene, view));
@@ -54,7 +54,7 @@ pub fn intensity_noise(scene: &Scene, view: &View, flood: &Flood, signal: &Signa
         let per_photon = if compound { f64::from(arriving.mean_square_response).max(mean * mean).sqrt() } else { mean };
         (per_photon * f64::from(deviates[pixel]) / (n0 * f64::from(flood.photons[pixel]) * flood.response(pixel))) as f32
     };
-    let mut field: Vec<f32> = (0..width * height).into_par_iter().with_min_len(4096).map(quantum).collect();
+    let mut field: Vec<f32> = (0..width * height).into_par_iter().with_min_len(FEWEST_PX).map(quantum).collect();
     if scene.detector.panel.blur_fwhm_mm > 0.0 {
         let mut wide: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
         blur(&mut wide, [width, height], scintillator_sigma_px(scene, view));
@@ -132,7 +132,7 @@ pub fn page(scene: &Scene, quantity: Quantity, line_integral: &[f32], noise: &[f
         }
         Quantity::AreaDensity => 0.0,
     };
-    (0..line_integral.len()).into_par_iter().with_min_len(4096).map(value).collect()
+    (0..line_integral.len()).into_par_iter().with_min_len(FEWEST_PX).map(value).collect()
 }
 
 /// gain · signal + offset, clipped and rounded as the panel does; NaN stays NaN.

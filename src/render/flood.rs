@@ -233,7 +233,8 @@ pub fn flood(scene: &Scene, view: &View, weights: &Weights, photons: bool) -> Re
         return Ok(flood);
     }
     if !shape.varies() && shape.field.is_none() {
-        flood.photons = (0..pixels).into_par_iter().with_min_len(4096).map(|pixel| fall_off(ray_of(view, pixel))).collect();
+        flood.photons =
+            (0..pixels).into_par_iter().with_min_len(super::blur::FEWEST_PX).map(|pixel| fall_off(ray_of(view, pixel))).collect();
         return Ok(flood);
     }
     struct Pixel {

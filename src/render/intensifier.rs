@@ -8,6 +8,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::RenderError;
+use super::blur::FEWEST_PX;
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::flood::Flood;
 use super::veil::spread;
@@ -51,7 +52,7 @@ fn looks(intensifier: &Intensifier, [width, height]: [usize; 2]) -> Vec<Look> {
             area: area as f32,
         }
     };
-    (0..width * height).into_par_iter().with_min_len(4096).map(look).collect()
+    (0..width * height).into_par_iter().with_min_len(FEWEST_PX).map(look).collect()
 }
 
 impl Look {
@@ -97,13 +98,14 @@ impl Look {
 /// Puts signal, flood and validity on the frame's own raster; what lies outside the disc is shut.
 pub(super) fn distort(intensifier: &Intensifier, signal: &mut Signal, flood: &mut Flood, valid: &mut Vec<u8>) {
     let looks = looks(intensifier, intensifier.size_px.map(|n| n as usize));
-    signal.line_integral = looks.par_iter().with_min_len(4096).map(|look| look.line_integral(&signal.line_integral)).collect();
+    signal.line_integral =
+        looks.par_iter().with_min_len(FEWEST_PX).map(|look| look.line_integral(&signal.line_integral)).collect();
     if !signal.arriving.is_empty() {
-        signal.arriving = looks.par_iter().with_min_len(4096).map(|look| look.arriving(&signal.arriving)).collect();
+        signal.arriving = looks.par_iter().with_min_len(FEWEST_PX).map(|look| look.arriving(&signal.arriving)).collect();
     }
     let sees_valid = |look: &Look| u8::from(look.area > 0.0 && look.weighed().all(|(pixel, _)| valid[pixel] != 0));
-    *valid = looks.par_iter().with_min_len(4096).map(sees_valid).collect();
-    flood.resample(|values| looks.par_iter().with_min_len(4096).map(|look| look.mean(values)).collect());
+    *valid = looks.par_iter().with_min_len(FEWEST_PX).map(sees_valid).collect();
+    flood.resample(|values| looks.par_iter().with_min_len(FEWEST_PX).map(|look| look.mean(values)).collect());
     flood.photons.iter_mut().zip(&looks).filter(|(_, look)| look.area > 0.0).for_each(|(photons, look)| *photons *= look.area);
     if flood.open.is_empty() {
         flood.open = vec![1.0; looks.len()];

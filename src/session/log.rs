@@ -238,7 +238,7 @@ impl SessionLog {
                 posed.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()).map(|shadow| shadow.radius_px).collect();
             let usual_px = if seen.is_empty() { 4.0 } else { seen.iter().sum::<f64>() / seen.len() as f64 };
             let mark = |bead: &crate::pose::BeadResidual| {
-                let (projected_px, depth_mm) = projection.project(bead.lps_mm);
+                let (projected_px, depth_mm) = projection.project(posed.pose.place_of(&bead.body, bead.lps_mm));
                 let detected_px = bead.image_px.map(glam::DVec2::from_array);
                 // On the picture as it was acquired.
                 let shown =

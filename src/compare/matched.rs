@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
-use crate::geometry::{Intensifier, View};
+use crate::geometry::{Distortion, Intensifier, View};
 use crate::image::Image;
 use crate::pose::{BeadResidual, Pose};
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
@@ -49,7 +49,7 @@ pub fn bead_marks(pose: &Pose, view: &View, scene: Option<&Scene>, stated_mm: im
     let projection = view.projection();
     let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
     let through = scene.and_then(|scene| seen_through(scene, view));
-    let shown = |pixel: DVec2| through.as_ref().map_or(Some(pixel), |through| through.distortion.distorted(pixel).ok());
+    let shown = |pixel| Distortion::shown(through.as_ref().map(|through| &through.distortion), pixel);
     let mark = |bead: &BeadResidual| {
         let (pixel, depth_mm) = projection.project(pose.place_of(&bead.body, bead.lps_mm));
         let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name));

@@ -214,6 +214,12 @@ impl Distortion {
         if left.length() <= INVERSE_TOLERANCE_PX { Ok(at) } else { Err(outside) }
     }
 
+    /// Where a frame as it is acquired shows `p_undistorted`: just there without distortion; `None` where it does not.
+    #[must_use]
+    pub fn shown(distortion: Option<&Self>, p_undistorted: DVec2) -> Option<DVec2> {
+        distortion.map_or(Some(p_undistorted), |distortion| distortion.distorted(p_undistorted).ok())
+    }
+
     /// The same distortion where each pixel has the side of `1 / scale` of these.
     #[must_use]
     pub fn scaled(&self, scale: f64) -> Self {
@@ -266,6 +272,7 @@ mod tests {
             furthest = furthest.max(straight.distance(at));
             let back = distortion.distorted(straight).expect("inside");
             assert!(back.distance(at) < 2e-9, "{at}: {back}");
+            assert_eq!(Distortion::shown(Some(&distortion), straight), Some(back));
             let step = 1e-4;
             for (axis, slope) in [(DVec2::X, distortion.jacobian(at).x_axis), (DVec2::Y, distortion.jacobian(at).y_axis)] {
                 let change = (distortion.undistorted(at + step * axis) - distortion.undistorted(at - step * axis)) / (2.0 * step);
@@ -273,7 +280,9 @@ mod tests {
             }
         }
         assert!((furthest - 20.0f64.hypot(6.0)).abs() < 0.1, "{furthest}");
-        assert!(distortion.distorted(DVec2::new(800.0, 260.0)).is_err());
+        let beside = DVec2::new(800.0, 260.0);
+        assert!(distortion.distorted(beside).is_err());
+        assert_eq!([Some(&distortion), None].map(|through| Distortion::shown(through, beside)), [None, Some(beside)]);
         assert!(distortion.distorted(DVec2::NAN).is_err());
     }
 

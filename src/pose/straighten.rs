@@ -16,7 +16,7 @@ impl Registration<'_> {
 
     /// A place of the undistorted picture in the frame; NaN where the frame does not show it.
     pub(super) fn in_frame(&self, p: DVec2) -> DVec2 {
-        self.distortion.map_or(p, |distortion| distortion.distorted(p).unwrap_or(DVec2::NAN))
+        Distortion::shown(self.distortion, p).unwrap_or(DVec2::NAN)
     }
 
     /// Shadows with place, covariance and size in the undistorted picture; those outside the disc are none.
@@ -40,7 +40,7 @@ impl Pose {
     /// The same with the places of beads, shadows, landmarks and tags where the distorted frame shows them: to be drawn on it.
     #[must_use]
     pub fn drawn_on_distorted(&self, distortion: &Distortion) -> Self {
-        let shown = |p: [f64; 2]| distortion.distorted(DVec2::from_array(p)).ok().map(|p| p.to_array());
+        let shown = |p: [f64; 2]| Distortion::shown(Some(distortion), DVec2::from_array(p)).map(|p| p.to_array());
         let mut pose = self.clone();
         for bead in &mut pose.beads {
             bead.image_px = bead.image_px.and_then(shown);

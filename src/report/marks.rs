@@ -135,14 +135,9 @@ impl PairMarks {
 fn robot_in(scene: &Scene, view: &View, distortion: Option<&Distortion>) -> Option<RobotMark> {
     let robot = scene.robot.as_ref()?;
     let shape = robot.shape_at(&robot.control_angles_deg).ok()?;
-    // What the intensifier's picture does not show has no place in it.
-    let shown = |at: DVec2| match distortion {
-        None => Some(at),
-        Some(distortion) => distortion.distorted(at).ok(),
-    };
     let in_frame = |p_in_base: DVec3| {
         let (at, depth_mm) = view.projection().project(robot.lps_from_base.transform_point(p_in_base));
-        (depth_mm > 0.0 && at.is_finite()).then(|| shown(at).map(|at| at.to_array()))?
+        (depth_mm > 0.0 && at.is_finite()).then(|| Distortion::shown(distortion, at).map(|at| at.to_array()))?
     };
     let ends = [&shape.base_from_body_end];
     let along = shape.base_from_pieces.iter().map(|(piece, _)| piece).chain(ends);

@@ -19,6 +19,7 @@ use super::inputs::InputNames;
 use super::losses::Losses;
 use super::posed::Posed;
 use super::workshop::Workshop;
+use crate::geometry::Distortion;
 use crate::record::{BeadMark, Level, Placed, Provenance, RecordError, Recorder, RecorderHealth, topic};
 use crate::render::Rendered;
 use crate::report::{self, PoseSource};
@@ -237,12 +238,12 @@ impl SessionLog {
             let seen: Vec<f64> =
                 posed.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()).map(|shadow| shadow.radius_px).collect();
             let usual_px = if seen.is_empty() { 4.0 } else { seen.iter().sum::<f64>() / seen.len() as f64 };
+            let distortion = posed.intensifier.as_deref().map(|intensifier| &intensifier.distortion);
             let mark = |bead: &crate::pose::BeadResidual| {
                 let (projected_px, depth_mm) = projection.project(posed.pose.place_of(&bead.body, bead.lps_mm));
                 let detected_px = bead.image_px.map(glam::DVec2::from_array);
                 // On the picture as it was acquired.
-                let shown =
-                    |p: glam::DVec2| posed.intensifier.as_ref().map_or(Some(p), |through| through.distortion.distorted(p).ok());
+                let shown = |p| Distortion::shown(distortion, p);
                 let (projected_px, detected_px) = (shown(projected_px)?, detected_px.and_then(shown));
                 let own = |shadow: &&crate::pose::Shadow| shadow.bead.as_deref() == Some(bead.name.as_str());
                 let radius_px = posed.pose.shadows.iter().find(own).map_or(usual_px, |shadow| shadow.radius_px);

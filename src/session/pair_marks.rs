@@ -24,10 +24,7 @@ fn by_telemetry(mut marks: PairMarks, posed: &Posed, view: &View, distortion: Op
     // The rows of the pose are those of the marks.
     for (mark, row) in marks.beads.iter_mut().zip(&posed.pose.beads) {
         let (pixel, depth_mm) = projection.project(posed.pose.place_of(&row.body, row.lps_mm));
-        let shown = match distortion {
-            None => Some(pixel),
-            Some(distortion) => distortion.distorted(pixel).ok(),
-        };
+        let shown = Distortion::shown(distortion, pixel);
         let is_within = |u: f64, v: f64| (-0.5..width - 0.5).contains(&u) && (-0.5..height - 0.5).contains(&v);
         mark.predicted_px = shown.filter(|at| depth_mm > 0.0 && is_within(at.x, at.y)).map(|at| at.to_array());
         mark.residual_px = None;

@@ -2,14 +2,14 @@
 //! a session, and each exposure can be seen as it was compared. A thread of its own writes and reads them, so that a disk that stands still
 //! holds up neither the window nor those who record.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::background::stand_back;
 use super::crosscheck::free_bytes;
 use super::pair_pictures::{Pages, PairPictures};
-use super::yard::{Slot, Yard};
+use super::yard::{Slot, Yard, is_for_want_of_room};
 use crate::image::Image;
 use crate::reporter::Reporter;
 
@@ -137,7 +137,7 @@ fn next(shared: &Shared) -> Next {
 }
 
 fn serve(mut shelf: Shelf, shared: &Shared, deliver: &dyn Fn(Key, Option<PairPictures>), reporter: &Reporter) {
-    let mut is_said = false;
+    let mut said = BTreeSet::new();
     loop {
         match next(shared) {
             Next::Put(leaving) => {
@@ -150,8 +150,8 @@ fn serve(mut shelf: Shelf, shared: &Shared, deliver: &dyn Fn(Key, Option<PairPic
                         format!("does not take their pictures ({error})")
                     }
                 };
-                if !std::mem::replace(&mut is_said, true) {
-                    let words = format!("the window shows older exposures small: the session's folder {why}; the log has them");
+                let words = format!("the window shows older exposures small: the session's folder {why}; the log has them");
+                if said.insert(why) {
                     reporter.note(words);
                 }
                 for key in dropped {
@@ -188,7 +188,7 @@ impl Shelf {
         Self { yard: Yard::in_folder(folder).of_at_most(most_bytes), kept: BTreeMap::new() }
     }
 
-    /// Takes pictures; those of the oldest exposures go where there is no room, which adds them to `dropped`.
+    /// Takes pictures; those of the oldest exposures go where there is no room, and for no other reason, which adds them to `dropped`.
     fn put(&mut self, leaving: &Leaving, dropped: &mut Vec<Key>) -> std::io::Result<()> {
         let (number, development) = leaving.key;
         // What was read back is still here.
@@ -205,6 +205,7 @@ impl Shelf {
         let pages = loop {
             match self.write(&images) {
                 Ok(pages) => break pages,
+                Err(error) if !is_for_want_of_room(&error) => return Err(error),
                 Err(error) => {
                     let Some((oldest, kept)) = self.kept.pop_first() else { return Err(error) };
                     self.let_go(kept.pages);
@@ -312,6 +313,19 @@ mod tests {
             let back = shelf.fetch((number, 0)).expect("there");
             assert_eq!(back.acquired(), leaving((number, 0)).whole.acquired());
         }
+    }
+
+    /// All pictures went, one after the other, for a disk that had failed.
+    #[test]
+    fn pictures_stay_where_it_is_not_room_that_is_wanting() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut shelf = Shelf::in_folder(folder.path());
+        assert!((1..=2).all(|number| put(&mut shelf, &leaving((number, 0))).is_empty()));
+        shelf.yard = Yard::in_folder(&folder.path().join("none"));
+        let mut dropped = Vec::new();
+        let refused = shelf.put(&leaving((3, 0)), &mut dropped).expect_err("no folder");
+        assert_eq!((refused.kind(), dropped, shelf.kept.len()), (std::io::ErrorKind::NotFound, vec![], 2));
+        assert!(!is_for_want_of_room(&refused) && is_for_want_of_room(&std::io::ErrorKind::QuotaExceeded.into()));
     }
 
     #[test]

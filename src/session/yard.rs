@@ -51,12 +51,13 @@ impl Yard {
     pub(super) fn put(&mut self, image: &Image<f32>) -> std::io::Result<Slot> {
         let size_px = [image.width, image.height];
         if free_bytes(&self.folder).is_some_and(|free| free < LEFT_BYTES) {
-            return Err(Error::other("less than 2 GB are free"));
+            return Err(Error::new(ErrorKind::StorageFull, "less than 2 GB are free"));
         }
         let reused = self.free.iter().position(|slot| slot.size_px == size_px);
         let bytes: &[u8] = bytemuck::cast_slice(&image.pixels);
         if reused.is_none() && self.end_byte + bytes.len() as u64 > self.most_bytes {
-            return Err(Error::other(format!("their {:.1} GB are full", self.most_bytes as f64 * 1e-9)));
+            let words = format!("their {:.1} GB are full", self.most_bytes as f64 * 1e-9);
+            return Err(Error::new(ErrorKind::StorageFull, words));
         }
         let file = match &mut self.file {
             Some(file) => file,
@@ -103,6 +104,11 @@ impl Yard {
             let _ = self.file.as_mut().map(|file| file.set_len(0));
         }
     }
+}
+
+/// Whether pictures that go would leave room for those that were not taken.
+pub(super) fn is_for_want_of_room(error: &Error) -> bool {
+    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded)
 }
 
 fn write_at(file: &mut File, bytes: &[u8], at_byte: u64) -> std::io::Result<()> {

@@ -19,6 +19,18 @@ const BUILT_IN: [(&str, &str); 3] = [
     ("calibration/robot/cdm.json", include_str!("../../calibration/robot/cdm.json")),
 ];
 
+/// Keys under which a scene names files, wherever in it they stand, and whether a folder may be named too. Nothing is looked for under
+/// another one.
+pub const FILE_KEYS: [(&str, bool); 7] = [
+    ("path", true),
+    ("labels", true),
+    ("names", false),
+    ("model", false),
+    ("network", false),
+    ("calibration", false),
+    ("spectrum_csv", false),
+];
+
 /// The text of a calibration file that comes with the program.
 #[must_use]
 pub fn built_in(name: &str) -> Option<&'static str> {
@@ -76,6 +88,8 @@ impl Files {
     }
 
     fn locate(&self, key: &str, name: &str, is_there: &dyn Fn(&Path) -> bool) -> Result<PathBuf, SceneError> {
+        let last = key.rsplit('.').next();
+        debug_assert!(FILE_KEYS.iter().any(|(known, _)| Some(*known) == last), "{key} is none of FILE_KEYS");
         let beside = self.folder.join(name);
         let mut looked = vec![shown_folder(&self.folder)];
         let found = if let Some(place) = self.places.get(name) {
@@ -159,4 +173,15 @@ fn is_kindless(place: &str, detail: &str) -> bool {
     // Below a kind that was read, something else is wrong.
     let is_object = is_object && (!place.contains('.') || detail.contains("unit variant") || !detail.contains("invalid type"));
     is_object && ["expected value", "key must be", "unit variant", "invalid type"].iter().any(|words| detail.contains(words))
+}
+
+#[cfg(test)]
+mod tests {
+    #[cfg(debug_assertions)]
+    #[test]
+    #[should_panic(expected = "FILE_KEYS")]
+    fn no_file_is_looked_for_under_a_key_that_is_not_listed() {
+        use super::*;
+        let _ = Files::new(Path::new("scene.json"), &BTreeMap::new()).find("objects[0].ct.spare", "a.nii");
+    }
 }

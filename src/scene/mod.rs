@@ -36,7 +36,7 @@ pub mod physics;
 pub use ct::LabelledCt;
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
-pub use files::built_in;
+pub use files::{FILE_KEYS, built_in};
 pub use fill::fill_harmonic;
 pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};

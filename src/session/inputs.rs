@@ -9,7 +9,7 @@ use serde_json::Value;
 pub use super::file::LoggedInput;
 use super::file::{LoggedPart, Setup};
 use crate::acquire::{hashed_input_label, input_label};
-use crate::scene::{InputFile, built_in};
+use crate::scene::{FILE_KEYS, InputFile, built_in};
 use crate::telemetry::PortAddress;
 
 /// What is written in place of what.
@@ -241,14 +241,14 @@ fn hide_scene(hidden: &mut Vec<(String, String)>, scene: &Path, text: &str) {
 
 /// Texts of a scene that stand where it names files.
 fn names_in(value: &Value, named: &mut Vec<String>) {
-    const KEYS: [&str; 8] = ["path", "labels", "names", "model", "network", "calibration", "carm", "spectrum_csv"];
     match value {
         Value::Object(fields) => {
             for (key, value) in fields {
+                let of_files = FILE_KEYS.iter().find(|(known, _)| *known == key.as_str());
                 // A word without an ending may be no file's, but a series is a folder.
-                let is_file = |name: &str| ["path", "labels"].contains(&key.as_str()) || Path::new(name).extension().is_some();
+                let is_file = |name: &str| of_files.is_some_and(|(_, folder)| *folder || Path::new(name).extension().is_some());
                 match value {
-                    Value::String(name) if KEYS.contains(&key.as_str()) && is_file(name) => named.push(name.clone()),
+                    Value::String(name) if is_file(name) => named.push(name.clone()),
                     other => names_in(other, named),
                 }
             }
@@ -277,6 +277,19 @@ fn last_part(path: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_are_named_under_the_keys_by_which_a_scene_is_read() {
+        let scene = serde_json::json!({
+            "view": {"calibration": "carm.json", "carm": {"sid_mm": 1000.0}},
+            "beam": {"spectrum_csv": "tube.csv", "name": "not.this"},
+            "objects": [{"ct": {"path": "series", "materials": {"labels": "segments", "names": "names.csv", "network": "default"}}}],
+        });
+        let mut named = Vec::new();
+        names_in(&scene, &mut named);
+        named.sort();
+        assert_eq!(named, ["carm.json", "names.csv", "segments", "series", "tube.csv"]);
+    }
 
     #[test]
     fn a_file_that_came_with_the_program_in_another_version_is_said() {

@@ -14,6 +14,7 @@ use super::radius_sigma::among_forms;
 use super::several::{DISTURBING, MOST_MISFIT, distinct, disturbed_px, once_per_place, overlap, same};
 use super::window::Field;
 use crate::acquire::{Domain, Frame};
+use crate::estimate::median;
 use crate::geometry::{Distortion, noise_through};
 use crate::image::Image;
 use crate::mask::fill;
@@ -222,9 +223,7 @@ pub fn detect(frame: &Frame, mask: Option<&Image<bool>>, expected: &Expectation)
 /// What is usable and lies beside all of `candidates`, but for those far larger than most, which are the gaps of a grid.
 fn beside(candidates: &[Candidate], usable: &Image<bool>) -> Image<bool> {
     let mut plain = usable.clone();
-    let mut radii: Vec<f64> = candidates.iter().map(|candidate| candidate.radius_px).collect();
-    radii.sort_by(f64::total_cmp);
-    let usual = radii.get(radii.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(candidates.iter().map(|candidate| candidate.radius_px)).unwrap_or(0.0);
     for candidate in candidates.iter().filter(|candidate| candidate.radius_px <= 2.1 * usual) {
         let reach = BESIDE * candidate.radius_px;
         let range = |centre: f64, count: usize| (centre - reach).max(0.0) as usize..((centre + reach) as usize + 1).min(count);

@@ -10,6 +10,7 @@ use super::model::{Model, Stopped};
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
+use crate::estimate::median;
 use crate::image::{exp, on_widest_vectors};
 
 /// u, v, ln r, ln s, c.
@@ -183,9 +184,7 @@ impl Weighing {
             self.sigma[n] = noise.sigma(at.value[n]);
             self.trust[n] = ((window.value[n] - at.value[n]) / self.sigma[n]).abs();
         }
-        let mut sizes = self.trust.clone();
-        let middle = sizes.len() / 2;
-        let spread = (*sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745).max(1.0);
+        let spread = (median(self.trust.iter().copied()).unwrap_or(0.0) / 0.6745).max(1.0);
         let [full, level, none] = TRUST.map(|limit| limit * spread);
         for (trust, rho) in self.trust.iter_mut().zip(&at.rho) {
             let size = *trust;

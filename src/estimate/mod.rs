@@ -29,6 +29,7 @@ mod covariance;
 mod left_out;
 mod solution;
 mod small_steps;
+mod median;
 
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};
@@ -37,6 +38,7 @@ pub use image_of_bead::{BeadImage, Place};
 pub use left_out::LeftOut;
 pub use levenberg::{Settings, Stop};
 pub use loss::Loss;
+pub use median::median;
 pub use motion::{Motion, about, deviation, left_jacobian_inverse, turned};
 pub use numeric::Numeric;
 pub use priors::{PosePrior, Reading};

@@ -19,6 +19,7 @@ use super::solve::{Free, Match, image_by_point, point_by_pose};
 use super::tables::{Depths, Target};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
+use crate::estimate::median;
 use crate::geometry::{Intrinsics, Rigid};
 
 /// Standard deviations of a prior without covariance: about the bead centroid, per axis.
@@ -45,13 +46,6 @@ pub(super) struct Case<'a> {
     pub everywhere: RefCell<Option<(Intrinsics, Arc<Found>)>>,
     /// Other readings that were looked at, and why they do not stand.
     pub heard: RefCell<Vec<RejectedReading>>,
-}
-
-/// The middle one of `values`, of an even number the upper; `None` where there are none.
-pub(super) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.into_iter().collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 impl<'a> Case<'a> {

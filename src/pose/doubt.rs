@@ -7,7 +7,7 @@
 use nalgebra::Matrix6;
 
 use super::besides::Besides;
-use super::case::{Case, GATE, median};
+use super::case::{Case, GATE};
 use super::cautions::Cautions;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
@@ -16,6 +16,7 @@ use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Match, about, deviation};
 use crate::beads::{Detection, Probe};
+use crate::estimate::median;
 use crate::geometry::Rigid;
 
 /// So many beads may be missing, or migrated, from a sound layout.

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use glam::DVec3;
 
 use super::bodies;
-use super::case::{Case, median};
+use super::case::Case;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
 use super::record::Pose;
@@ -15,6 +15,7 @@ use super::residual::BeadResidual;
 use super::shadow::Shadow;
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Detections, Polarity, Probe, Signal, detect, detect_image};
+use crate::estimate::median;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::image::Image;
 use crate::mask::{self, Cause, Masks};

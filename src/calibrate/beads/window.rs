@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use super::fit::Sample;
 use super::lumps::METAL_HU;
+use crate::estimate::median;
 use crate::geometry::VoxelGrid;
 use crate::scene::fill_harmonic;
 
@@ -102,25 +103,19 @@ fn near_foreign(grid: &VoxelGrid, around: &[usize], foreign: &BTreeSet<usize>) -
 
 /// White noise, structure and median of voxels.
 fn surroundings(grid: &VoxelGrid, hu: &[f32], shell: &BTreeSet<usize>) -> Option<(f64, f64, f64)> {
-    let mut values: Vec<f64> = shell.iter().map(|index| f64::from(hu[*index])).collect();
-    let middle = median(&mut values)?;
+    let values: Vec<f64> = shell.iter().map(|index| f64::from(hu[*index])).collect();
+    let middle = median(values.iter().copied())?;
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-    let mut steps: Vec<f64> = shell
+    let steps = shell
         .iter()
         .filter_map(|index| grid.neighbour(*index, 0, true).filter(|next| shell.contains(next)).map(|next| (*index, next)))
-        .map(|(index, next)| (f64::from(hu[next]) - f64::from(hu[index])).abs())
-        .collect();
+        .map(|(index, next)| (f64::from(hu[next]) - f64::from(hu[index])).abs());
     const SIGMA_FROM_MEDIAN: f64 = 1.4826;
-    let noise = median(&mut steps).map_or(variance.sqrt(), |step| SIGMA_FROM_MEDIAN * step * std::f64::consts::FRAC_1_SQRT_2);
+    let noise = median(steps).map_or(variance.sqrt(), |step| SIGMA_FROM_MEDIAN * step * std::f64::consts::FRAC_1_SQRT_2);
     // Ten percent more than the noise is within what the noise is known to.
     let structure = (variance - 1.1 * noise * noise).max(0.0).sqrt();
     // Stored values are rounded, and no CT is better than this.
     Some((noise.max(3.0), structure, middle))
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -9,7 +9,7 @@ use super::refusal::PhantomRefusal;
 use super::scale::Measured;
 use super::shot::{CameraErrors, PhantomShot};
 use super::structure::Structure;
-use crate::estimate::{Covariance, Estimate, EstimateError};
+use crate::estimate::{Covariance, Estimate, EstimateError, median};
 
 /// χ² of a shadow that the others do not predict, of two numbers.
 const STRAY: f64 = 30.0;
@@ -82,9 +82,7 @@ pub(super) fn pruned(shots: &[PhantomShot], structure: Structure, errors: Camera
 fn worst_shadow(blocks: &Blocks, estimate: &Estimate, covariance: &Covariance) -> Option<(usize, usize)> {
     let off = |residual: usize| estimate.left_out_linear(covariance, residual).map_or(0.0, |left| left.chi2);
     let all: Vec<(f64, usize, usize)> = blocks.images.iter().map(|(bead, shot, n)| (off(*n), *bead, *shot)).collect();
-    let mut sorted: Vec<f64> = all.iter().map(|(chi2, ..)| *chi2).collect();
-    sorted.sort_by(f64::total_cmp);
-    let usual = (sorted.get(sorted.len() / 2).copied().unwrap_or(0.0) / MEDIAN).max(1.0);
+    let usual = (median(all.iter().map(|(chi2, ..)| *chi2)).unwrap_or(0.0) / MEDIAN).max(1.0);
     let worst = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     (worst.0 > STRAY * usual).then_some((worst.1, worst.2))
 }
@@ -99,9 +97,7 @@ fn worst_camera(blocks: &Blocks, estimate: &Estimate) -> Option<(usize, f64)> {
 fn worst_bead(blocks: &Blocks, structure: &Structure, covariance: &Covariance) -> Option<usize> {
     let ids: Vec<_> = blocks.points.iter().map(crate::estimate::VectorBlock::id).collect();
     let shape = spread(&structure.points, &covariance.of(&ids)).shape;
-    let mut sigmas: Vec<f64> = shape.iter().map(sigma_mm).collect();
-    sigmas.sort_by(f64::total_cmp);
-    let usual = sigmas.get(sigmas.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(shape.iter().map(sigma_mm)).unwrap_or(0.0);
     let worst = (0..shape.len()).max_by(|a, b| worst_mm(&shape[*a]).total_cmp(&worst_mm(&shape[*b])))?;
     (worst_mm(&shape[worst]) > (WORSE * usual).max(WORSE_MM)).then_some(worst)
 }
@@ -114,9 +110,7 @@ fn worst_fitting(blocks: &Blocks, estimate: &Estimate, beads: usize) -> Option<u
         squares[*bead].1 += 1;
     }
     let rms: Vec<f64> = squares.into_iter().map(|(sum, count)| (sum / count.max(1) as f64).sqrt()).collect();
-    let mut sorted = rms.clone();
-    sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(rms.iter().copied()).unwrap_or(0.0);
     let worst = (0..beads).max_by(|a, b| rms[*a].total_cmp(&rms[*b]))?;
     (rms[worst] > (MISSED * usual).max(MISSED_PX)).then_some(worst)
 }

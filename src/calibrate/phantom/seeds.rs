@@ -10,7 +10,7 @@ use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2};
 use super::adjust::Adjustment;
 use super::shot::{CameraErrors, PhantomShot, ShotShadow, middle_of, nearest};
 use super::structure::{Structure, one_to_one, ray, seen};
-use crate::estimate::{about, turned};
+use crate::estimate::{about, median, turned};
 use crate::geometry::Rigid;
 
 /// Shadows of a shot that start a trial: the best.
@@ -53,9 +53,7 @@ impl Gate {
         let rows = k.slopes_px_per_mm(p).map(|slope| turned(slope, p));
         let slope = Matrix2x6::from_fn(|i, j| rows[i][j]);
         let covariance = Matrix6::from_fn(|i, j| shot.covariance[i][j]) * (times * times);
-        let mut sigmas: Vec<f64> = shot.shadows.iter().map(ShotShadow::sigma_px).collect();
-        sigmas.sort_by(f64::total_cmp);
-        let sigma_px = sigmas.get(sigmas.len() / 2).copied().unwrap_or(0.1);
+        let sigma_px = median(shot.shadows.iter().map(ShotShadow::sigma_px)).unwrap_or(0.1);
         let moved = slope * covariance * slope.transpose() + Matrix2::identity() * sigma_px.powi(2).max(0.04);
         let own = about(p) * covariance * about(p).transpose();
         let largest = |from: usize| (from..from + 3).map(|n| own[(n, n)]).fold(0.0, f64::max).sqrt();

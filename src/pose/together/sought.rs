@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Vector2};
 
 use super::setup::{Observation, Setup};
-use crate::pose::case::median;
+use crate::estimate::median;
 use crate::pose::record::Pose;
 use crate::pose::residual::noise_px2;
 use crate::pose::shadow::Shadow;

@@ -4,7 +4,7 @@
 //! the bead is elsewhere: that is what all its shadows say. The most surprising of both kinds goes first, and everything is solved again.
 
 use super::setup::{Blocks, Setup, scale_of, solved};
-use crate::estimate::{Covariance, Estimate, EstimateError};
+use crate::estimate::{Covariance, Estimate, EstimateError, median};
 use crate::pose::together::record::BeadVerdict;
 
 /// Left-out χ² of a shadow (two degrees of freedom) and of a place in the layout (three) beyond which it does not belong: 4 in 10⁶ each.
@@ -100,9 +100,7 @@ fn next(setup: &Setup, blocks: &Blocks, estimate: &Estimate, covariance: &Covari
     let places: Vec<f64> =
         blocks.priors.iter().map(|residual| residual.map_or(0.0, |residual| left_out(estimate, covariance, residual))).collect();
     // Most shadows belong: where half of them are worse than stated, so are all.
-    let mut order = shadows.clone();
-    order.sort_by(f64::total_cmp);
-    let scale = (order.get(order.len() / 2).copied().unwrap_or(0.0) / MEDIAN).max(1.0);
+    let scale = (median(shadows.iter().copied()).unwrap_or(0.0) / MEDIAN).max(1.0);
     let all = shadows.iter().enumerate().map(|(n, chi2)| (Stray::Shadow(n), *chi2, chi2 / SHADOW));
     let all = all.chain(places.iter().enumerate().map(|(n, chi2)| (Stray::Place(n), *chi2, chi2 / PLACE)));
     let (worst, chi2, times) = all.max_by(|a, b| a.2.total_cmp(&b.2))?;

@@ -56,7 +56,7 @@ struct Residuals {
 pub fn judge(finished: &Finished) -> Option<Fit> {
     let Finished { model, theta, window, weighing, .. } = *finished;
     let inverse = finished.normal.cholesky()?.inverse();
-    let (of_depth, depth_normal) = finished.equations.of_depth(model, finished.normal, finished.at, weighing);
+    let (by_depth, depth_normal) = finished.equations.of_depth(model, finished.normal, finished.at, weighing);
     let held = held_inverse(&depth_normal)?;
     let correlation = finished.field.noise.correlation();
     let correlated = window.is_whole && !correlation.is_white();
@@ -65,7 +65,7 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
     let taken = if correlated { (0.7 * correlation.sum()).max(1.0) } else { 1.0 };
     let dof = (count - COUNT as f64 * taken).max(0.3 * count);
 
-    let influence = finished.equations.influence(&inverse, weighing, [0, 1]);
+    let influence = finished.equations.influence(None, &inverse, weighing, [0, 1]);
     let residuals = residuals(finished, &influence, correlated);
     let chi2_per_dof = residuals.chi2 / dof;
     let scale = chi2_per_dof.max(1.0);
@@ -81,14 +81,14 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         if is_positive(&of_noise) {
             covariance = of_noise;
         }
-        let variance_of = |equations: &Equations, inverse: &Matrix, parameter: usize| {
-            let [by_parameter] = equations.influence(inverse, weighing, [parameter]);
+        let variance_of = |by_depth: Option<&[f64]>, inverse: &Matrix, parameter: usize| {
+            let [by_parameter] = finished.equations.influence(by_depth, inverse, weighing, [parameter]);
             let grid = window.on_grid(&by_parameter);
             Some(form(&grid, &grid)).filter(|variance| *variance > 0.0)
         };
-        depth_variance = variance_of(&of_depth, &held, 4).unwrap_or(depth_variance);
-        radius_variance = variance_of(finished.equations, &inverse, 2)
-            .map_or(radius_variance, |variance| variance + of_priors(model, &inverse));
+        depth_variance = variance_of(Some(&by_depth), &held, 4).unwrap_or(depth_variance);
+        radius_variance =
+            variance_of(None, &inverse, 2).map_or(radius_variance, |variance| variance + of_priors(model, &inverse));
     }
     let structure = structure(finished, &inverse, &residuals.clustered, scale)?;
     let structure_px = (0.5 * (structure[0][0] + structure[1][1])).sqrt();

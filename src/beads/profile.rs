@@ -49,7 +49,7 @@ pub struct Value {
     pub by_rho: f64,
     /// ∂G/∂ ln β.
     pub by_ln_beta: f64,
-    /// ∂G/∂k of a flattened shape; 0 of a logarithm, whose k is fixed.
+    /// ∂G/∂k of a flattened shape, where it is asked; 0 of a logarithm, whose k is fixed.
     pub by_nepers: f64,
 }
 
@@ -94,7 +94,7 @@ pub struct Profile {
     /// At the table's distances, with one more before the first: it is even about 0.
     value: [f64; COLUMNS + 1],
     by_ln_beta: [f64; COLUMNS + 1],
-    by_nepers: [f64; COLUMNS + 1],
+    by_nepers: Option<[f64; COLUMNS + 1]>,
     /// Steps of the table from which on the profile is nothing.
     end: f64,
     /// Steps of the table per radius.
@@ -104,8 +104,18 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Blur `beta` in radii; it and the nepers are clamped to the table.
+    /// Blur `beta` in radii; it and the nepers are clamped to the table. Without the derivative by nepers, which is of use where they are
+    /// fitted.
     pub fn new(shape: Shape, beta: f64) -> Self {
+        Self::summed(shape, beta, None)
+    }
+
+    /// The same with that derivative.
+    pub fn with_nepers(shape: Shape, beta: f64) -> Self {
+        Self::summed(shape, beta, matches!(shape, Shape::Flattened(_)).then_some([0.0; COLUMNS + 1]))
+    }
+
+    fn summed(shape: Shape, beta: f64, by_nepers: Option<[f64; COLUMNS + 1]>) -> Self {
         let (nepers, is_logarithm) = match shape {
             Shape::Flattened(nepers) => (nepers, false),
             Shape::Logarithm(nepers) => (nepers, true),
@@ -115,14 +125,8 @@ impl Profile {
         let nepers = nepers.clamp(0.0, MOST_NEPERS);
         let knot = Cubic::at((nepers / BEND).ln_1p() / knot_step() + 1.0, KNOTS);
         let per_neper = if is_known { 1.0 / (knot_step() * (nepers + BEND)) } else { 0.0 };
-        let mut profile = Self {
-            value: [0.0; COLUMNS + 1],
-            by_ln_beta: [0.0; COLUMNS + 1],
-            by_nepers: [0.0; COLUMNS + 1],
-            end: 0.0,
-            steps: 0.0,
-            widens: 0.0,
-        };
+        let mut profile =
+            Self { value: [0.0; COLUMNS + 1], by_ln_beta: [0.0; COLUMNS + 1], by_nepers, end: 0.0, steps: 0.0, widens: 0.0 };
         for i in 0..4 {
             for j in 0..4 {
                 let start = ((knot.first + i) * ROWS + row.first + j) * COLUMNS;
@@ -136,15 +140,17 @@ impl Profile {
                 for (sum, term) in profile.by_ln_beta[1..].iter_mut().zip(line) {
                     *sum += by_row * term;
                 }
-                for (sum, term) in profile.by_nepers[1..].iter_mut().zip(line) {
-                    *sum += by_knot * term;
+                if let Some(sums) = &mut profile.by_nepers {
+                    for (sum, term) in sums[1..].iter_mut().zip(line) {
+                        *sum += by_knot * term;
+                    }
                 }
             }
         }
         if is_logarithm {
             profile.take_logarithm(nepers);
         }
-        for line in [&mut profile.value, &mut profile.by_ln_beta, &mut profile.by_nepers] {
+        for line in [&mut profile.value, &mut profile.by_ln_beta].into_iter().chain(&mut profile.by_nepers) {
             line[0] = line[2];
         }
         let (least, most) = (beta_of_row(1), beta_of_row(ROWS - 2));
@@ -165,7 +171,6 @@ impl Profile {
             *by_ln_beta *= stopped / (left * nepers);
             *value = -left.ln() / nepers;
         }
-        self.by_nepers = [0.0; COLUMNS + 1];
     }
 
     /// Value and derivatives at distance `rho`, in radii.
@@ -184,14 +189,16 @@ impl Profile {
         };
         let (value, p, q, r) = cubic(&self.value);
         let (blur, blur_p, blur_q, blur_r) = cubic(&self.by_ln_beta);
-        let (nepers, nepers_p, nepers_q, nepers_r) = cubic(&self.by_nepers);
         let by_step = p + f * (2.0 * q + 3.0 * f * r);
         Value {
             value: value + f * (p + f * (q + f * r)),
             by_rho: by_step * self.steps,
             // At a fixed distance the table's own moves inwards as blur grows.
             by_ln_beta: blur + f * (blur_p + f * (blur_q + f * blur_r)) - by_step * x * self.widens,
-            by_nepers: nepers + f * (nepers_p + f * (nepers_q + f * nepers_r)),
+            by_nepers: self.by_nepers.as_ref().map_or(0.0, |line| {
+                let (nepers, p, q, r) = cubic(line);
+                nepers + f * (p + f * (q + f * r))
+            }),
         }
     }
 }
@@ -260,7 +267,7 @@ mod tests {
     use super::*;
 
     fn blurred(shape: Shape, rho: f64, beta: f64) -> Value {
-        Profile::new(shape, beta).at(rho)
+        Profile::with_nepers(shape, beta).at(rho)
     }
 
     #[test]
@@ -356,6 +363,9 @@ mod tests {
                 let by_ln_beta = (value(nepers, rho, beta * (1.0 + h)) - value(nepers, rho, beta * (1.0 - h))) / (2.0 * h);
                 assert!((v.by_rho - by_rho).abs() < 1e-3 * by_rho.abs() + 1e-5, "{nepers} {rho} {beta}: {v:?} {by_rho}");
                 assert!((v.by_ln_beta - by_ln_beta).abs() < 1e-3 * by_ln_beta.abs() + 1e-5, "{v:?} {by_ln_beta}");
+                let without = Profile::new(shape(nepers), beta).at(rho);
+                let same = [without.value == v.value, without.by_rho == v.by_rho, without.by_ln_beta == v.by_ln_beta];
+                assert!(same == [true; 3] && without.by_nepers == 0.0, "{v:?} {without:?}");
                 if !is_logarithm {
                     let by_nepers = (value(nepers + h, rho, beta) - value(nepers - h, rho, beta)) / (2.0 * h);
                     assert!((v.by_nepers - by_nepers).abs() < 1e-3 * by_nepers.abs() + 1e-5, "{v:?} {by_nepers}");

@@ -63,7 +63,8 @@ impl Evaluated {
             column.resize(count, 0.0);
         }
         let radius = theta[2].exp();
-        let profile = Profile::new(model.shape(theta[4]), theta[3].exp() / radius);
+        let made = if model == Model::Transmission { Profile::with_nepers } else { Profile::new };
+        let profile = made(model.shape(theta[4]), theta[3].exp() / radius);
         // The background first, term by term, which the compiler turns into vector instructions.
         self.value.fill(0.0);
         for (term, coefficient) in window.basis.iter().zip(theta.as_slice()[SHAPE..].iter()) {
@@ -247,29 +248,38 @@ impl Equations {
         (normal, right)
     }
 
-    /// The same with the shadow's depth, as a share of itself, in place of its contrast: of metal that lets nothing pass the contrast is as
-    /// good as any, and that it is there is sure. Of transmission the depth is in nepers, as what else lies there is.
-    pub fn of_depth(&self, model: Model, normal: &Matrix, at: &Evaluated, weighing: &Weighing) -> (Self, Matrix) {
-        let mut columns = self.columns.clone();
+    /// The normal equations with the shadow's depth, as a share of itself, in place of its contrast, and the column by that: of metal that
+    /// lets nothing pass the contrast is as good as any, and that it is there is sure. Of transmission the depth is in nepers, as what else
+    /// lies there is.
+    pub fn of_depth(&self, model: Model, normal: &Matrix, at: &Evaluated, weighing: &Weighing) -> (Vec<f64>, Matrix) {
         let by_depth = |n: usize| match model {
             Model::Transmission => at.value[n] * (at.value[n] / (at.value[n] - at.shadow[n])).ln(),
             Model::Additive { .. } => at.shadow[n],
         };
-        columns[4] = (0..at.value.len()).map(|n| weighing.trust[n].sqrt() / weighing.sigma[n] * by_depth(n)).collect();
+        let by_depth: Vec<f64> =
+            (0..at.value.len()).map(|n| weighing.trust[n].sqrt() / weighing.sigma[n] * by_depth(n)).collect();
         let mut normal = *normal;
         for n in 0..COUNT {
-            let sum = dot(pulp::Scalar, &columns[4], &columns[n]);
+            let sum = dot(pulp::Scalar, &by_depth, if n == 4 { &by_depth } else { &self.columns[n] });
             normal[(4, n)] = sum;
             normal[(n, 4)] = sum;
         }
-        (Self { columns }, normal)
+        (by_depth, normal)
     }
 
-    /// How much each pixel's normalised residual z = r/σ moves the parameters `of`: N⁻¹ Jᵀ W, column by column.
-    pub fn influence<const N: usize>(&self, inverse: &Matrix, weighing: &Weighing, of: [usize; N]) -> [Vec<f64>; N] {
+    /// How much each pixel's normalised residual z = r/σ moves the parameters `of`: N⁻¹ Jᵀ W, column by column. `by_depth` stands in place
+    /// of the contrast's, see [`Self::of_depth`].
+    pub fn influence<const N: usize>(
+        &self,
+        by_depth: Option<&[f64]>,
+        inverse: &Matrix,
+        weighing: &Weighing,
+        of: [usize; N],
+    ) -> [Vec<f64>; N] {
         of.map(|parameter| {
             let mut influence = vec![0.0; weighing.trust.len()];
-            for (n, column) in self.columns[..COUNT].iter().enumerate() {
+            for (n, own) in self.columns[..COUNT].iter().enumerate() {
+                let column = by_depth.filter(|_| n == 4).unwrap_or(own);
                 let share = inverse[(parameter, n)];
                 for (sum, derivative) in influence.iter_mut().zip(column) {
                     *sum += share * derivative;

@@ -84,10 +84,11 @@ impl Detection {
         }
     }
 
-    /// By what factor the radius may be larger or smaller than it is stated, for its own uncertainty; 1 where none is stated.
+    /// By how much the logarithm of its radius may differ from that of another, where something else moves it by `else_ln`. What noise and
+    /// blur hide has nothing to do with that: they add in squares. Of itself alone: by 0.
     #[must_use]
-    pub fn radius_factor(&self) -> f64 {
-        (RADIUS_SIGMAS * self.radius_sigma_ln.max(0.0)).exp()
+    pub fn radius_slack_ln(&self, else_ln: f64) -> f64 {
+        else_ln.hypot(RADIUS_SIGMAS * self.radius_sigma_ln.max(0.0))
     }
 }
 
@@ -385,4 +386,18 @@ fn ranked(fits: &[Fit]) -> Vec<Detection> {
         .collect();
     found.sort_by(|a, b| b.quality.total_cmp(&a.quality));
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// At some places the two were added as they are, at others in squares.
+    #[test]
+    fn what_hides_a_radius_adds_in_squares_to_what_else_moves_it() {
+        for (radius_sigma_ln, else_ln, expected) in [(0.0, 0.3, 0.3), (0.2, 0.3, 0.5), (0.2, 0.0, 0.4), (-1.0, 0.3, 0.3)] {
+            let slack = Detection { radius_sigma_ln, ..Detection::default() }.radius_slack_ln(else_ln);
+            assert!((slack - expected).abs() < 1e-12, "{radius_sigma_ln} {else_ln}: {slack}");
+        }
+    }
 }

@@ -30,8 +30,8 @@ pub struct Besides {
 impl Case<'_> {
     pub fn besides(&self, last: &Settled) -> Besides {
         let usual = |of: fn(&Detection) -> f64| self.usual(&last.matches, of);
-        let (Some(usual_contrast), Some(usual_radius_px), Some(usual_factor)) =
-            (usual(|d| d.contrast), usual(|d| d.radius_px), usual(Detection::radius_factor))
+        let (Some(usual_contrast), Some(usual_radius_px), Some(usual_slack_ln)) =
+            (usual(|d| d.contrast), usual(|d| d.radius_px), usual(|d| d.radius_slack_ln(ALIKE.0)))
         else {
             return Besides::default();
         };
@@ -43,7 +43,7 @@ impl Case<'_> {
         };
         // A faint blob of any size is not bead-sized for not knowing its own.
         let alike = |d: &Detection| {
-            (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0.hypot(d.radius_factor().min(usual_factor).ln())
+            (d.radius_px / usual_radius_px).ln().abs() < d.radius_slack_ln(ALIKE.0).min(usual_slack_ln)
                 && (d.contrast / usual_contrast).ln().abs() < ALIKE.1
                 && d.snr >= CLEAR_SNR
         };

@@ -15,7 +15,7 @@ use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Match, about, deviation};
-use crate::beads::{Detection, Probe};
+use crate::beads::Probe;
 use crate::estimate::median;
 use crate::geometry::Rigid;
 
@@ -254,7 +254,7 @@ impl Case<'_> {
             return None;
         }
         ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let hidden = self.usual(&last.matches, Detection::radius_factor)?.ln();
+        let hidden = self.usual(&last.matches, |shadow| shadow.radius_slack_ln(0.0))?;
         let (ratio, expected_px) = ratios[ratios.len() / 2];
         let off = median(ratios.iter().map(|other| (other.0 - ratio).abs()))?;
         let sigma = SIGMA_OF_MEDIAN * off / (ratios.len() as f64).sqrt();

@@ -5,7 +5,6 @@ use glam::DVec2;
 use super::case::Case;
 use super::cautions::Cautions;
 use super::settle::Settled;
-use crate::beads::Detection;
 
 /// A shadow so far from a bead's place may still be that bead's, mm at its depth.
 const REACH_MM: f64 = 12.0;
@@ -14,8 +13,8 @@ const LEAST_PX: f64 = 3.0;
 /// Two beads of one part are off by the same: so many px, and that share of it for what they differ in depth and turn.
 const SAME_PX: f64 = 2.0;
 const SAME_SHARE: f64 = 0.1;
-/// Radii of shadows over those of the beads that the pose rests on.
-const BEAD_SIZED: std::ops::Range<f64> = 0.75..1.33;
+/// Radii of shadows against those of the beads that the pose rests on: a factor's natural logarithm.
+const BEAD_SIZED: f64 = 0.285;
 /// A pose whose beads are farther from where the others put them (root mean square) may put landmarks as far off, px.
 const LOOSE_PX: f64 = 2.0;
 
@@ -48,13 +47,12 @@ impl Case<'_> {
     fn moved_together(&self, last: &Settled) -> Option<(Vec<String>, DVec2)> {
         let beads = &self.request.layout.beads;
         let usual_px = self.usual(&last.matches, |shadow| shadow.radius_px)?;
-        let usual_factor = self.usual(&last.matches, Detection::radius_factor)?;
+        let usual_slack_ln = self.usual(&last.matches, |shadow| shadow.radius_slack_ln(BEAD_SIZED))?;
         let is_free = |n: usize| !last.matches.iter().chain(last.merged.iter().map(|(m, _)| m)).any(|m| m.detection == n);
         let is_sized = |n: usize| {
             let shadow = &self.detections[n];
             // A faint blob of any size is not bead-sized for not knowing its own.
-            let factor = shadow.radius_factor().min(usual_factor);
-            (BEAD_SIZED.start / factor..BEAD_SIZED.end * factor).contains(&(shadow.radius_px / usual_px))
+            (shadow.radius_px / usual_px).ln().abs() < shadow.radius_slack_ln(BEAD_SIZED).min(usual_slack_ln)
         };
         let free: Vec<DVec2> =
             (0..self.detections.len()).filter(|n| is_free(*n) && is_sized(*n)).map(|n| self.detections[n].image_px).collect();

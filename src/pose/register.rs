@@ -223,23 +223,23 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
 struct OffRadius {
     /// The median.
     ratio: f64,
-    /// By what factor it may be off for what the radii state of themselves.
-    factor: f64,
+    /// By how much its logarithm may be off for what the radii state of themselves.
+    hidden: f64,
 }
 
-/// Factor by which radii may be off that are as they should be.
-const AS_STATED: f64 = 1.25;
-/// Factor from which on radii are as good as unknown.
-const UNKNOWN: f64 = 1.25;
+/// By how much the logarithm of radii may be off that are as they should be: a quarter.
+const AS_STATED: f64 = 0.223;
+/// From which on radii are as good as unknown.
+const UNKNOWN: f64 = 0.223;
 
 impl OffRadius {
     fn is_wrong(self) -> bool {
-        !(self.ratio.ln().abs() <= (AS_STATED * self.factor).ln())
+        !(self.ratio.ln().abs() <= AS_STATED.hypot(self.hidden))
     }
 
     /// Whether blur may be all that is wrong with them.
     fn is_hidden(self) -> bool {
-        !self.is_wrong() && self.factor > UNKNOWN
+        !self.is_wrong() && self.hidden > UNKNOWN
     }
 }
 
@@ -265,11 +265,11 @@ fn without_radii(
         let depth_mm = camera_from_lps.transform_point(without.place_of(&bead.body, bead.lps_mm)).z;
         let ratio = shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?);
         let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px);
-        Some((ratio, seen.map_or(1.0, Detection::radius_factor)))
+        Some((ratio, seen.map_or(0.0, |seen| seen.radius_slack_ln(0.0))))
     };
     let used = without.beads.iter().filter(|bead| bead.used);
-    let (ratios, factors): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
-    let off = OffRadius { ratio: median(ratios)?, factor: median(factors)? };
+    let (ratios, hidden): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
+    let off = OffRadius { ratio: median(ratios)?, hidden: median(hidden)? };
     Some((without, off))
 }
 
@@ -278,7 +278,7 @@ fn told_without_radii(mut pose: Pose, off: OffRadius) -> Pose {
     pose.doubt(format!(
         "blur hides the size of the shadows, which may be off by a factor of {:.1}: the beads' radii were left out of the match, and their depth \
          rests on their places alone",
-        off.factor
+        off.hidden.exp()
     ));
     pose
 }

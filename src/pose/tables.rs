@@ -72,13 +72,13 @@ impl Depths {
         Self { near: self.near.max(other.near), far: self.far.min(other.far) }
     }
 
-    /// Where a sphere whose radius is `one_px` at a depth of 1 mm has a shadow of `radius_px`, which may be off by `factor`:
-    /// |ln(radius_px / p)| < √(slack² + ln² factor) + more / p, with p = one_px / depth. Spheres of less than `more` px are none.
-    fn of_radius(one_px: f64, radius_px: f64, factor: f64) -> Self {
+    /// Where a sphere whose radius is `one_px` at a depth of 1 mm has a shadow of `radius_px`, whose logarithm may be off by `slack`:
+    /// |ln(radius_px / p)| < slack + more / p, with p = one_px / depth. Spheres of less than `more` px are none.
+    fn of_radius(one_px: f64, radius_px: f64, slack: f64) -> Self {
         if !(one_px > 0.0 && radius_px > 0.0) {
             return Self::NONE;
         }
-        let (slack, more) = (RADIUS_SLACK.0.hypot(factor.ln()), RADIUS_SLACK.1);
+        let more = RADIUS_SLACK.1;
         let shadow = radius_px.ln();
         // Newton's method in ln p, from the side on which it does not overshoot.
         let mut largest = shadow + slack;
@@ -118,7 +118,8 @@ impl Tables {
             let of = |bead: usize, n: usize| match targets[bead].radius_mm {
                 _ if !may_pair(bead, n) => Depths::NONE,
                 Some(radius_mm) => {
-                    Depths::of_radius(intrinsics.fx * radius_mm, detections[n].radius_px, detections[n].radius_factor())
+                    let slack_ln = detections[n].radius_slack_ln(RADIUS_SLACK.0);
+                    Depths::of_radius(intrinsics.fx * radius_mm, detections[n].radius_px, slack_ln)
                 }
                 None => Depths::ALL,
             };
@@ -155,7 +156,7 @@ mod tests {
     #[test]
     fn a_radius_fits_between_two_depths() {
         for (one_px, radius_px) in [(3900.0, 6.1), (800.0, 2.1), (2000.0, 0.9), (9000.0, 30.0)] {
-            let depths = Depths::of_radius(one_px, radius_px, 1.0);
+            let depths = Depths::of_radius(one_px, radius_px, RADIUS_SLACK.0);
             for n in 1..4000 {
                 let depth_mm = f64::from(n);
                 let predicted_px = one_px / depth_mm;
@@ -166,13 +167,14 @@ mod tests {
         }
         // A small bead in a binned frame, as its shadow is fitted.
         for radius_px in [1.0, 1.92, 1.95, 3.0] {
-            assert!(Depths::of_radius(0.18 * 1314.0, radius_px, 1.0).contain(700.0), "{radius_px}");
+            assert!(Depths::of_radius(0.18 * 1314.0, radius_px, RADIUS_SLACK.0).contain(700.0), "{radius_px}");
         }
         for radius_px in [0.0, -1.0, f64::NAN] {
-            assert!(!Depths::of_radius(3900.0, radius_px, 1.0).contain(700.0));
+            assert!(!Depths::of_radius(3900.0, radius_px, RADIUS_SLACK.0).contain(700.0));
         }
         // Of 5.6 px; half as large is too small, unless blur may hide as much.
-        assert!(!Depths::of_radius(3900.0, 2.8, 1.0).contain(700.0) && Depths::of_radius(3900.0, 2.8, 2.0).contain(700.0));
+        let hidden = |radius_sigma_ln: f64| Detection { radius_sigma_ln, ..Detection::default() }.radius_slack_ln(RADIUS_SLACK.0);
+        assert!([0.0, 0.35].map(|sigma_ln| Depths::of_radius(3900.0, 2.8, hidden(sigma_ln)).contain(700.0)) == [false, true]);
         assert!(!Depths::ALL.contain(f64::NAN) && !Depths::NONE.contain(700.0));
     }
 }

@@ -225,9 +225,12 @@ impl Body<'_, '_> {
             off.dot(&(inverse * off)) <= ROUGHLY_OFF
         };
         let is_sized = |n: usize| {
-            let (shadow, factor) = (&self.case.detections[n], self.case.detections[n].radius_factor());
-            radius_px
-                .is_none_or(|px| (BEAD_SIZED.start() / factor..=BEAD_SIZED.end() * factor).contains(&(shadow.radius_px / px)))
+            let shadow = &self.case.detections[n];
+            radius_px.is_none_or(|px| {
+                let off_ln = (shadow.radius_px / px).ln();
+                let end = if off_ln < 0.0 { *BEAD_SIZED.start() } else { *BEAD_SIZED.end() };
+                off_ln.abs() <= shadow.radius_slack_ln(end.ln())
+            })
         };
         let shadows = 0..self.case.detections.len();
         shadows.filter(|n| !self.case.barred.contains(n) && is_meant(*n) && is_sized(*n) && is_near(*n)).collect()

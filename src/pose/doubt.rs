@@ -11,12 +11,12 @@ use super::case::{Case, GATE};
 use super::cautions::Cautions;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
+use super::radii::{RadiusRatio, SizedShadow};
 use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Match, about, deviation};
 use crate::beads::Probe;
-use crate::estimate::median;
 use crate::geometry::Rigid;
 
 /// So many beads may be missing, or migrated, from a sound layout.
@@ -32,14 +32,6 @@ const LOOSE_CHI2: f64 = 4.0;
 const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// From here on the mirror image, and other readings than the prior's, are looked at.
 const UNEASY_CHI2: f64 = 1.5;
-/// Relative differences of the radius from which on it is said, and refused, where nothing hides any. Of grey values of unknown scale it is
-/// only said: their curve changes what half the depth is.
-const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
-/// Radii of few pixels are measured worse: so much more by the square of the radius, px².
-const SMALL_RADIUS_PX2: f64 = 0.3;
-/// Standard deviation of a median over the median deviation from it and the root of the number, and how many of these radii may be off by.
-const SIGMA_OF_MEDIAN: f64 = 1.86;
-const RADIUS_SIGMAS: f64 = 2.0;
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
@@ -57,18 +49,6 @@ pub(super) const UNLIKELY_OF_MANY: f64 = 3.3;
 pub(super) fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
     let ninth = 2.0 / (9.0 * dof.max(1) as f64);
     (per_dof.max(0.0).cbrt() - (1.0 - ninth)) / ninth.sqrt()
-}
-
-/// How large the shadows of the matched beads are.
-struct RadiusRatio {
-    /// Fitted over stated radius, the median.
-    ratio: f64,
-    /// Its standard deviation by the scatter of the beads.
-    sigma: f64,
-    /// By how much its logarithm may be off for what the radii state of themselves: blur hides the same of all of them.
-    hidden: f64,
-    /// What the radius of that bead should be.
-    expected_px: f64,
 }
 
 impl Case<'_> {
@@ -215,23 +195,16 @@ impl Case<'_> {
         }
     }
 
-    /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
-    /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
+    /// The size of the shadows against depth and size of the beads. Only values that are proportional to quanta, or their logarithms, show
+    /// the size of what is in the beam; of grey values of unknown scale it is only said: their curve changes what half the depth is.
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
-        let Some(RadiusRatio { ratio, sigma, hidden, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
-        let (off, small) = (ratio.ln().abs(), SMALL_RADIUS_PX2 / expected_px.powi(2));
-        // What blur hides is a factor: of shadows that are too small it is more than their share.
-        let gate = |share: f64| {
-            let share = share + small;
-            let known = if ratio < 1.0 { -(1.0 - share).max(0.1).ln() } else { share.ln_1p() };
-            known.hypot(hidden)
-        };
-        // Radii that scatter are a doubt, and no contradiction.
-        if quantitative && !(off <= gate(OTHER_RADIUS.1) + RADIUS_SIGMAS * sigma / ratio) {
+        let Some(radii) = self.radius_ratio(last) else { return Ok(()) };
+        let ratio = radii.ratio;
+        if quantitative && radii.is_contradicting() {
             return Err(Refusal::Radii { ratio });
         }
-        if !(off <= gate(OTHER_RADIUS.0)) {
+        if radii.is_doubtful() {
             cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
                 100.0 * (ratio - 1.0).abs(),
@@ -241,24 +214,15 @@ impl Case<'_> {
         Ok(())
     }
 
-    /// Fitted over stated radius of the matched beads; `None` where fewer than four radii are known.
+    /// Of the matched beads.
     fn radius_ratio(&self, last: &Settled) -> Option<RadiusRatio> {
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let ratio = |m: &Match| {
+        let sized = |m: &Match| {
             let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
             let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
-            Some((self.detections.get(m.detection)?.radius_px / expected_px, expected_px))
+            Some(SizedShadow::new(self.detections.get(m.detection)?, expected_px))
         };
-        let mut ratios: Vec<(f64, f64)> = last.matches.iter().filter_map(ratio).collect();
-        if ratios.len() < 4 {
-            return None;
-        }
-        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let hidden = self.usual(&last.matches, |shadow| shadow.radius_slack_ln(0.0))?;
-        let (ratio, expected_px) = ratios[ratios.len() / 2];
-        let off = median(ratios.iter().map(|other| (other.0 - ratio).abs()))?;
-        let sigma = SIGMA_OF_MEDIAN * off / (ratios.len() as f64).sqrt();
-        Some(RadiusRatio { ratio, sigma, hidden, expected_px })
+        RadiusRatio::of(last.matches.iter().filter_map(sized).collect())
     }
 
     /// A second reading of the shadows that are left.

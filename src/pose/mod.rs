@@ -31,6 +31,7 @@ mod other_intrinsics;
 mod prior;
 mod prior_use;
 mod propose;
+mod radii;
 mod readings;
 mod record;
 mod refusal;

@@ -8,6 +8,7 @@ use super::bodies;
 use super::case::Case;
 use super::explained::{Reading, Rejected};
 use super::prior::Prior;
+use super::radii::{RadiusRatio, SizedShadow};
 use super::record::Pose;
 use super::refusal::Refusal;
 use super::request::Registration;
@@ -15,7 +16,6 @@ use super::residual::BeadResidual;
 use super::shadow::Shadow;
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Detections, Polarity, Probe, Signal, detect, detect_image};
-use crate::estimate::median;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::image::Image;
 use crate::mask::{self, Cause, Masks};
@@ -187,10 +187,10 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
     let mut pose = match without_radii(request, &pose, &detections, &one) {
-        Some((without, off)) if off.is_hidden() => told_without_radii(without, off),
-        // The other match is no match, and what was said of it means nothing.
-        Some((_, off)) if off.is_wrong() => {
-            Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(Refusal::Radii { ratio: off.ratio })
+        Some((without, radii)) if radii.is_hidden() => told_without_radii(without, radii),
+        // The other match is no match, and what was said of it means nothing. Of grey values too: no radii have led this one.
+        Some((_, radii)) if radii.is_contradicting() => {
+            Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(Refusal::Radii { ratio: radii.ratio })
         }
         _ => pose,
     };
@@ -218,38 +218,13 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
     pose
 }
 
-/// Shadows' radii over those that a pose gives them.
-#[derive(Clone, Copy, Debug)]
-struct OffRadius {
-    /// The median.
-    ratio: f64,
-    /// By how much its logarithm may be off for what the radii state of themselves.
-    hidden: f64,
-}
-
-/// By how much the logarithm of radii may be off that are as they should be: a quarter.
-const AS_STATED: f64 = 0.223;
-/// From which on radii are as good as unknown.
-const UNKNOWN: f64 = 0.223;
-
-impl OffRadius {
-    fn is_wrong(self) -> bool {
-        !(self.ratio.ln().abs() <= AS_STATED.hypot(self.hidden))
-    }
-
-    /// Whether blur may be all that is wrong with them.
-    fn is_hidden(self) -> bool {
-        !self.is_wrong() && self.hidden > UNKNOWN
-    }
-}
-
 /// The pose that the frame gives once the beads' stated radius, which bounds their depth, is left out, and how far that radius is off.
 fn without_radii(
     request: &Registration,
     pose: &Pose,
     detections: &[Detection],
     register: &dyn Fn(&Registration, &[Detection]) -> Pose,
-) -> Option<(Pose, OffRadius)> {
+) -> Option<(Pose, RadiusRatio)> {
     let could_be = matches!(pose.refusal, Some(Refusal::Chance { .. } | Refusal::NoMatch { .. }));
     let stated = |index: usize| request.layout.radius_mm(index, request.bead_radius_mm);
     let beads = request.layout.beads.len();
@@ -263,22 +238,19 @@ fn without_radii(
         let index = request.layout.beads.iter().position(|other| other.name == bead.name)?;
         let shadow = without.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()))?;
         let depth_mm = camera_from_lps.transform_point(without.place_of(&bead.body, bead.lps_mm)).z;
-        let ratio = shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?);
-        let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px);
-        Some((ratio, seen.map_or(0.0, |seen| seen.radius_slack_ln(0.0))))
+        let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px)?;
+        Some(SizedShadow::new(seen, intrinsics.fx * stated(index)? / depth_mm))
     };
-    let used = without.beads.iter().filter(|bead| bead.used);
-    let (ratios, hidden): (Vec<f64>, Vec<f64>) = used.filter_map(own).unzip();
-    let off = OffRadius { ratio: median(ratios)?, hidden: median(hidden)? };
-    Some((without, off))
+    let radii = RadiusRatio::of(without.beads.iter().filter(|bead| bead.used).filter_map(own).collect())?;
+    Some((without, radii))
 }
 
 /// A pose for which the beads' radii counted for nothing, with the words that say so.
-fn told_without_radii(mut pose: Pose, off: OffRadius) -> Pose {
+fn told_without_radii(mut pose: Pose, radii: RadiusRatio) -> Pose {
     pose.doubt(format!(
         "blur hides the size of the shadows, which may be off by a factor of {:.1}: the beads' radii were left out of the match, and their depth \
          rests on their places alone",
-        off.hidden.exp()
+        radii.hidden.exp()
     ));
     pose
 }

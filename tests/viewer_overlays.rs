@@ -189,7 +189,8 @@ fn the_robot_as_it_is_seen_lies_beside_that_of_telemetry_dashed_and_in_its_own_c
     assert_eq!(violet(&hidden, tip, 8.0) + along(&hidden) + in_legend(&hidden, SEEN_ROBOT), 0);
 }
 
-/// The cross that marks the cursor's place in other panes stood in their colour scales and numbers.
+/// The cross that marks the cursor's place in other panes stood in their colour scales and numbers, and then was missing where words might
+/// have been and were not.
 #[test]
 fn the_cursor_s_cross_is_in_the_other_pictures_and_never_in_a_legend() {
     let Some(mut drawn) = Drawn::open() else { return };
@@ -206,6 +207,8 @@ fn the_cursor_s_cross_is_in_the_other_pictures_and_never_in_a_legend() {
     };
     let (on_picture, on_scale, on_words) = (changed([200.0, 150.0]), changed([70.0, 13.0]), changed([100.0, 28.0]));
     assert!(on_picture > 20, "the control: {on_picture}");
+    let on_bare_corner = changed([100.0, acquired.height() - 30.0]);
+    assert!(on_bare_corner > 20, "the DRR has no words in its upper right corner: {on_bare_corner}");
     assert_eq!((on_scale, on_words), (0, 0));
 }
 

@@ -62,28 +62,31 @@ pub(super) fn seen_robot(painter: &Painter, placed: &Placed, pair: &PairView, st
     painter.add(Shape::closed_line(corners.to_vec(), Stroke::new(1.8, SEEN_ROBOT)));
 }
 
-/// What the lines along the robot mean, from `right_top` downwards, each in its colour behind a piece of its line.
-pub(super) fn robot_legend(painter: &Painter, right_top: Pos2, pair: &PairView, state: &ViewState) {
+/// What the lines along the robot mean, from `right_top` downwards, each in its colour behind a piece of its line; where that is.
+pub(super) fn robot_legend(painter: &Painter, right_top: Pos2, pair: &PairView, state: &ViewState) -> Vec<Rect> {
     if !state.draws(Mark::Robot) {
-        return;
+        return Vec::new();
     }
     let drawn = pair.marks.figures().iter().find(|figure| figure.tells == Tells::Robot).map(|figure| rgb(figure.colour));
     let drawn_as = if pair.pair.robot_source.as_deref() == Some("scene") { "as in the scene file" } else { "by telemetry" };
     let seen = pair.pair.tip.map(|_| SEEN_ROBOT);
     let rows = [(drawn, format!("robot {drawn_as}"), false), (seen, "robot as seen in the frame".to_owned(), true)];
-    let mut at = right_top;
+    let (mut at, mut taken) = (right_top, Vec::new());
     for (colour, text, is_dashed) in rows {
         let Some(colour) = colour else { continue };
         let rect = words(painter, at, Align2::RIGHT_TOP, &text, colour);
         let sample = [rect.left_center() - vec2(26.0, 0.0), rect.left_center() - vec2(5.0, 0.0)];
-        painter.rect_filled(Rect::from_two_pos(sample[0], sample[1]).expand(4.0), 3.0, BACKING);
+        let backing = Rect::from_two_pos(sample[0], sample[1]).expand(4.0);
+        painter.rect_filled(backing, 3.0, BACKING);
         if is_dashed {
             painter.extend(Shape::dashed_line(&sample, Stroke::new(ARROW, colour), DASH.0, DASH.1));
         } else {
             painter.line_segment(sample, Stroke::new(ARROW, colour));
         }
         at.y = rect.bottom() + 3.0;
+        taken.push(rect.union(backing));
     }
+    taken
 }
 
 /// Whether figures that tell of this are drawn.
@@ -152,11 +155,11 @@ pub(super) fn words(painter: &Painter, at: Pos2, align: Align2, text: &str, colo
     rect
 }
 
-/// A bar of a round length at the depth of interest, in the pane's lower left corner.
-pub(super) fn scale_bar(painter: &Painter, placed: &Placed, mm_per_px: f64) {
+/// A bar of a round length at the depth of interest, in the pane's lower left corner; where it and its words are.
+pub(super) fn scale_bar(painter: &Painter, placed: &Placed, mm_per_px: f64) -> Option<Rect> {
     let points_per_mm = f64::from(placed.scale) / mm_per_px;
     if !(points_per_mm > 0.0 && points_per_mm.is_finite()) {
-        return;
+        return None;
     }
     let seen = placed.seen();
     let most_mm = 0.3 * f64::from(seen.width()) / points_per_mm;
@@ -169,11 +172,7 @@ pub(super) fn scale_bar(painter: &Painter, placed: &Placed, mm_per_px: f64) {
             painter.line_segment([end - vec2(0.0, 4.0), end + vec2(0.0, 4.0)], Stroke::new(width, colour));
         }
     }
-    words(
-        painter,
-        from + vec2(0.0, -7.0),
-        Align2::LEFT_BOTTOM,
-        &format!("{} mm", crate::report::short(length_mm, length_mm)),
-        TEXT,
-    );
+    let length = format!("{} mm", crate::report::short(length_mm, length_mm));
+    let told = words(painter, from + vec2(0.0, -7.0), Align2::LEFT_BOTTOM, &length, TEXT);
+    Some(told.union(Rect::from_two_pos(from, to)))
 }

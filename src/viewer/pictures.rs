@@ -23,8 +23,6 @@ const BLINKS_HZ: f64 = 2.0;
 const SQUARES: usize = 8;
 /// Points of the screen within which a click means a bead.
 const REACH_POINTS: f32 = 18.0;
-/// Height of a line of a legend.
-const LINE_POINTS: f32 = 14.0;
 /// The whole range of gray is moved, or doubled, by dragging so many points.
 const WINDOW_POINTS: f64 = 300.0;
 
@@ -169,7 +167,10 @@ fn draw(
 ) {
     let painter = ui.painter_at(placed.pane);
     painter.rect_filled(placed.pane, 2.0, WELL);
-    if let Some(words) = empty(pane, pair) {
+    let within = painter.with_clip_rect(placed.seen());
+    let (why_empty, mut taken) = (empty(pane, pair), Vec::new());
+    let is_empty = why_empty.is_some();
+    if let Some(words) = why_empty {
         let galley = painter.layout(words, font(BODY), DIM, placed.pane.width() - 20.0);
         painter.galley(placed.pane.center() - 0.5 * galley.size(), galley, DIM);
     } else {
@@ -183,7 +184,6 @@ fn draw(
         if state.draws(Mark::Masks) && pane != Pane::Difference {
             paint(&painter, placed, state.cache.texture(context, Picture::Masks), Color32::WHITE);
         }
-        let within = painter.with_clip_rect(placed.seen());
         match pane {
             Pane::Acquired | Pane::Overlay => {
                 marks::all(&within, placed, pair, state);
@@ -193,18 +193,24 @@ fn draw(
             Pane::Drr => marks::predicted(&within, placed, pair, state),
             Pane::Difference => {}
         }
-        cursor.into_iter().for_each(|at| crosshair(&within, at, &legends(placed)));
-        if let Some(mm_per_px) = pair.mm_per_px {
-            marks::scale_bar(&within, placed, mm_per_px);
-        }
-        legend(&within, pane, placed, pair, state);
+        let scale = pair.mm_per_px.and_then(|mm_per_px| marks::scale_bar(&within, placed, mm_per_px));
+        taken.extend(in_corner(placed.seen().left_bottom(), scale));
+        taken.extend(legend(&within, pane, placed, pair, state));
     }
     let mut corner = placed.pane.left_top() + vec2(7.0, 5.0);
-    let is_dark = (pane == Pane::Difference && empty(pane, pair).is_none()).then(|| dark(pair)).flatten();
+    let is_dark = (pane == Pane::Difference && !is_empty).then(|| dark(pair)).flatten();
     let lines =
         [Some((title(pane, state), TEXT)), is_dark.map(|words| (words, DIM)), small(board, pair).map(|words| (words, CAUTION))];
+    let mut head = Vec::new();
     for (line, colour) in lines.into_iter().flatten() {
-        corner.y = marks::words(&painter, corner, Align2::LEFT_TOP, &line, colour).bottom() + 3.0;
+        let told = marks::words(&painter, corner, Align2::LEFT_TOP, &line, colour);
+        corner.y = told.bottom() + 3.0;
+        head.push(told);
+    }
+    taken.extend(in_corner(placed.pane.left_top(), head));
+    // Last: what the words take is known when they are laid out.
+    if let Some(at) = cursor.filter(|_| !is_empty) {
+        crosshair(&within, at, &taken);
     }
 }
 
@@ -257,31 +263,26 @@ fn overlay(ui: &Ui, painter: &Painter, placed: &Placed, state: &mut ViewState) {
     }
 }
 
-/// Where a pane has words in its corners.
-fn legends(placed: &Placed) -> [Rect; 4] {
-    let (seen, pane) = (placed.seen(), placed.pane);
-    let title = Rect::from_min_size(pane.left_top(), vec2(0.45 * pane.width(), 42.0));
-    let marks = Rect::from_min_max(pos2(seen.right() - 235.0, seen.top()), pos2(seen.right(), seen.top() + 60.0));
-    let colours = Rect::from_min_max(pos2(seen.right() - 140.0, seen.bottom() - 50.0), seen.max);
-    let scale =
-        Rect::from_min_max(pos2(seen.left(), seen.bottom() - 36.0), pos2(seen.left() + 0.32 * seen.width(), seen.bottom()));
-    [title, marks, colours, scale]
+/// What a pane's `corner` has words in, to their ends and what is behind them.
+fn in_corner(corner: Pos2, words: impl IntoIterator<Item = Rect>) -> Option<Rect> {
+    let words = words.into_iter().reduce(Rect::union)?;
+    Some(words.expand(3.0).union(Rect::from_min_max(corner, corner)))
 }
 
 /// Where the cursor is in another pane; it leaves out what would lie over words.
-fn crosshair(painter: &Painter, at: Pos2, legends: &[Rect]) {
+fn crosshair(painter: &Painter, at: Pos2, taken: &[Rect]) {
     let stroke = Stroke::new(1.0, Color32::from_white_alpha(110));
     for towards in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
         let ends = [at + 5.0 * towards, at + 16.0 * towards];
         let arm = Rect::from_two_pos(ends[0], ends[1]);
-        if !legends.iter().any(|legend| legend.intersects(arm)) {
+        if !taken.iter().any(|words| words.intersects(arm)) {
             painter.line_segment(ends, stroke);
         }
     }
 }
 
-/// What the colours of a pane mean, in its lower right corner.
-fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state: &ViewState) {
+/// What the colours of a pane mean, in its lower right corner, and its marks, in its upper one; where that is.
+fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state: &ViewState) -> impl Iterator<Item = Rect> {
     let seen = placed.seen();
     let bar = Rect::from_min_max(seen.right_bottom() - vec2(130.0, 16.0), seen.right_bottom() - vec2(10.0, 9.0));
     let scale = |low: f64, high: f64, colour: &dyn Fn(f32) -> Color32| {
@@ -292,27 +293,28 @@ fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state
             painter.rect_filled(part, 0.0, colour((step as f32 + 0.5) / STEPS as f32));
         }
         let range = high - low;
-        marks::words(painter, bar.left_top() - vec2(0.0, 2.0), Align2::LEFT_BOTTOM, &short(low, range), TEXT);
-        marks::words(painter, bar.right_top() - vec2(0.0, 2.0), Align2::RIGHT_BOTTOM, &short(high, range), TEXT);
+        let low = marks::words(painter, bar.left_top() - vec2(0.0, 2.0), Align2::LEFT_BOTTOM, &short(low, range), TEXT);
+        let high = marks::words(painter, bar.right_top() - vec2(0.0, 2.0), Align2::RIGHT_BOTTOM, &short(high, range), TEXT);
+        bar.union(low).union(high)
     };
-    match (pane, pair.pictures.difference) {
+    let mut colours = match (pane, pair.pictures.difference) {
         (Pane::Acquired | Pane::Drr, _) => {
             let window = state.window_of(pair);
             let [low, high] = if pane == Pane::Drr { pair.pictures.drr_window(window) } else { window };
-            scale(low, high, &|share| Color32::from_gray((10.0 + 240.0 * share) as u8));
+            Some(scale(low, high, &|share| Color32::from_gray((10.0 + 240.0 * share) as u8)))
         }
         (Pane::Difference, Some(difference)) => {
             let colour = |share: f32| {
                 let [red, green, blue] = diverging(2.0 * share - 1.0);
                 Color32::from_rgb(red, green, blue)
             };
-            scale(-difference.limit, difference.limit, &colour);
+            Some(scale(-difference.limit, difference.limit, &colour))
         }
         (Pane::Overlay, _) if state.overlay == Overlay::Edges => {
-            marks::words(painter, seen.right_bottom() - vec2(10.0, 8.0), Align2::RIGHT_BOTTOM, "edges of the DRR", EDGE);
+            Some(marks::words(painter, seen.right_bottom() - vec2(10.0, 8.0), Align2::RIGHT_BOTTOM, "edges of the DRR", EDGE))
         }
-        _ => {}
-    }
+        _ => None,
+    };
     let unit = match (pane, pair.pictures.difference) {
         (Pane::Difference, Some(difference)) if difference.offset != 0.0 => {
             format!("{} ({})", difference.unit, short(difference.offset, 1.0))
@@ -320,14 +322,21 @@ fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state
         (Pane::Difference | Pane::Acquired | Pane::Drr, _) => pair.pictures.unit.clone(),
         (Pane::Overlay, _) => String::new(),
     };
-    marks::words(painter, bar.center_top() - vec2(0.0, 2.0 + LINE_POINTS + 2.0), Align2::CENTER_BOTTOM, &unit, TEXT);
+    if let Some(numbers) = colours.filter(|_| !unit.is_empty()) {
+        let above = pos2(bar.center().x, numbers.top() - 2.0);
+        colours = Some(numbers.union(marks::words(painter, above, Align2::CENTER_BOTTOM, &unit, TEXT)));
+    }
+    let mut of_marks = Vec::new();
     let mut corner = seen.right_top() + vec2(-7.0, 5.0);
     let enlarged = [Mark::Residuals, Mark::Landmarks].into_iter().any(|mark| state.draws(mark));
     if pane == Pane::Acquired && enlarged && !(pair.marks.beads.is_empty() && pair.marks.landmarks.is_empty()) {
         let words = format!("residuals and uncertainties {STRETCH:.0}×");
-        corner.y = marks::words(painter, corner, Align2::RIGHT_TOP, &words, TEXT).bottom() + 3.0;
+        let told = marks::words(painter, corner, Align2::RIGHT_TOP, &words, TEXT);
+        corner.y = told.bottom() + 3.0;
+        of_marks.push(told);
     }
     if pane == Pane::Acquired {
-        marks::robot_legend(painter, corner, pair, state);
+        of_marks.extend(marks::robot_legend(painter, corner, pair, state));
     }
+    [in_corner(seen.right_bottom(), colours), in_corner(seen.right_top(), of_marks)].into_iter().flatten()
 }

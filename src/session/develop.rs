@@ -12,11 +12,11 @@ use super::pair_view::PairView;
 use super::posed::Posed;
 use crate::beads::BeadLayout;
 use crate::calibrate::robot::{RobotFitError, SeenRobot, SeenTip, tip_in_frame};
-use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};
+use crate::compare::{CompareInput, Compared, NullError, NullRenders, NullScatter, bead_marks, compare, posed_scene, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
-use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
+use crate::render::{Options, Plan, Quantity, Rendered, Renderer, Scatter};
 use crate::report::{BeadRow, Pair, PairStatus, PoseSource};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
@@ -37,6 +37,9 @@ pub(super) struct Bench {
     pub(super) network: Option<NetworkScatter>,
     pub(super) renderer: Renderer,
     pub(super) reporter: Reporter,
+    /// What was compared last without its pair being finished, and the same with its null, which took so many ms: it was put off while the
+    /// drill's tip was looked for.
+    pub(super) with_null: Option<(Arc<Compared>, Arc<Compared>, f64)>,
 }
 
 impl Bench {
@@ -275,38 +278,56 @@ impl Bench {
     /// Puts each score against its null, and looks for the drill's tip; `None` when `cancelled`, which is asked all the while, says so.
     pub(super) fn add_null(&mut self, mut developed: Developed, cancelled: &dyn Fn() -> bool) -> Option<Developed> {
         developed.complete = true;
-        let (Some(compared), Some((drr, scene))) = (developed.compared.as_deref(), developed.drr.clone()) else {
+        let (Some(before), Some((drr, scene))) = (developed.compared.clone(), developed.drr.clone()) else {
             return Some(developed);
         };
-        let mut compared = compared.clone();
-        let watch = Stopwatch::start();
-        let plan = match serde_json::from_value::<Plan>(drr.plan.clone()) {
-            Ok(plan) => plan,
-            Err(error) => return Some(developed.without_null(&error.to_string())),
+        let (compared, ms) = match self.with_null.take_if(|(of, ..)| Arc::ptr_eq(of, &before)) {
+            Some((_, compared, ms)) => (compared, ms),
+            None => match self.null_of(&before, (&drr, &scene), developed.scatter.clone(), cancelled) {
+                Ok(made) => made,
+                Err(None) => return None,
+                Err(Some(because)) => return Some(developed.without_null(&because)),
+            },
         };
-        let network = self.network.as_ref();
-        // Poses that nobody has are unlike what it knows: that is not worth a word.
-        let far = |scene: &Scene, view: &View| network?.say(scene, view, &Reporter::silent()).ok();
-        let scatter = NullScatter { near: developed.scatter.clone(), far: Some(&far) };
-        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan), scatter);
-        match compared.add_null(&mut |view| renders.render(view), cancelled) {
-            Ok(()) => {
-                developed.pair.flags.retain(|flag| flag != UNCHECKED);
-                developed.pair.set_comparison(&compared.comparison);
-                developed.pair.judge_image();
-            }
-            Err(NullError::Cancelled { .. }) => return None,
-            Err(error) => return Some(developed.without_null(&error.to_string())),
-        }
-        developed.pair.stages_ms.add("null", watch.ms());
-        // Nothing is said of a null that is made once more.
-        developed.seen_robot = self.look_for_robot(&developed.posed, &scene, &mut developed.pair, cancelled).ok()?.map(Arc::new);
+        developed.pair.flags.retain(|flag| flag != UNCHECKED);
+        developed.pair.set_comparison(&compared.comparison);
+        developed.pair.judge_image();
+        developed.pair.stages_ms.add("null", ms);
+        // Nothing is said of a pair that is taken up once more.
+        let Ok(seen_robot) = self.look_for_robot(&developed.posed, &scene, &mut developed.pair, cancelled) else {
+            self.with_null = Some((before, compared, ms));
+            return None;
+        };
+        developed.seen_robot = seen_robot.map(Arc::new);
         if let Some(found) = &developed.pair.image_prefers {
             self.reporter.warn("image disagrees", format!("{}: {found}", developed.posed.label()));
         }
         developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&scene), Some(&compared), None));
-        developed.compared = Some(Arc::new(compared));
+        developed.compared = Some(compared);
         Some(developed)
+    }
+
+    /// What was compared with its null, and how many ms that took; why there is none, where it was not `cancelled`.
+    fn null_of(
+        &mut self,
+        before: &Compared,
+        (drr, scene): (&Rendered, &Scene),
+        near: Option<Arc<Scatter>>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(Arc<Compared>, f64), Option<String>> {
+        let watch = Stopwatch::start();
+        let plan = serde_json::from_value::<Plan>(drr.plan.clone()).map_err(|error| Some(error.to_string()))?;
+        let network = self.network.as_ref();
+        // Poses that nobody has are unlike what it knows: that is not worth a word.
+        let far = |scene: &Scene, view: &View| network?.say(scene, view, &Reporter::silent()).ok();
+        let scatter = NullScatter { near, far: Some(&far) };
+        let mut renders = NullRenders::new(&mut self.renderer, scene, Some(plan), scatter);
+        let mut compared = before.clone();
+        compared.add_null(&mut |view| renders.render(view), cancelled).map_err(|error| match error {
+            NullError::Cancelled { .. } => None,
+            error => Some(error.to_string()),
+        })?;
+        Ok((Arc::new(compared), watch.ms()))
     }
 
     /// A pair for a frame whose development failed.

@@ -86,7 +86,7 @@ impl Workshop {
         let network = if asks { Some(NetworkScatter::open(None)?) } else { None };
         let network_sha256 = network.as_ref().map(NetworkScatter::sha256);
         let (setup, layout_of_bench, reporter) = (setup.clone(), layout.clone(), reporter.clone());
-        let bench = Bench { scene, setup, declared, layout: layout_of_bench, network, renderer, reporter };
+        let bench = Bench { scene, setup, declared, layout: layout_of_bench, network, renderer, reporter, with_null: None };
         let layout = layout.map(Arc::new);
         Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, robot, adapter, network_sha256, names })
     }

@@ -3,6 +3,7 @@
 
 // #include shared/philox.wgsl
 // #include shared/chords.wgsl
+// #include shared/mesh.wgsl
 // #include transport/data.wgsl
 // #include transport/random.wgsl
 // #include transport/beam.wgsl
@@ -111,7 +112,8 @@ fn main(
     loop {
         let is_new = !is_alive;
         if is_new {
-            if n == job.each { break; }
+            // Told from inside: a driver that ends loops early comes to what follows them all the same.
+            if n == job.each { atomicAdd(&trouble[ALL_DONE], 1u); break; }
             let low = job.first.x + offset + n;
             let carry = select(0u, 1u, low < job.first.x);
             n += 1u;

@@ -26,6 +26,8 @@ struct Flags {
 @group(0) @binding(7) var<storage, read_write> density_g_per_cm2: array<f32>; // by pixel, then material
 @group(0) @binding(8) var<storage, read_write> invalid: array<atomic<u32>>; // a bit per pixel: matter borders on the unknown
 @group(0) @binding(9) var<storage, read_write> flags: Flags;
+@group(0) @binding(10) var<storage, read> nodes: array<Node>;             // of meshes in the camera, their depth counted from depth_ref
+@group(0) @binding(11) var<storage, read> corners: array<vec4<f32>>;      // as the nodes
 
 var<private> sums: array<f32, 8>;
 @compute @workgroup_size(TILE, TILE)
@@ -64,6 +66,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if matter && atomicLoad(&flags.matter) == 0u { atomicStore(&flags.matter, 1u); }
     if beyond && atomicLoad(&flags.beyond) == 0u { atomicStore(&flags.beyond, 1u); }
     if cut { atomicOr(&invalid[pixel / 32u], 1u << (pixel % 32u)); }
+}
+
+fn corner(index: u32) -> vec3<f32> {
+    return corners[index].xyz;
 }
 
 // Integrates the volume where later solids leave room. Whether it meets matter that borders on the unknown.

@@ -8,6 +8,9 @@ use sidecarm::render::wgsl::layout::{Bin, Flags, Grid, Node, Solid, View};
 /// The one shader that makes no image.
 const PHOTONS: &str = "follow_photons";
 
+/// Storage buffers of a stage that every device has, by the standard of WebGPU.
+const STORAGE_BUFFERS: usize = 8;
+
 fn parse(stem: &str) -> naga::Module {
     let text = source(stem).expect("embedded");
     naga::front::wgsl::parse_str(&text).unwrap_or_else(|error| panic!("{stem}: {}", error.emit_to_string(&text)))
@@ -21,6 +24,9 @@ fn every_shader_is_valid() {
         let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
         validator.validate(&module).unwrap_or_else(|error| panic!("{stem}: {error:?}"));
         assert!(module.entry_points.iter().any(|entry| entry.name == "main"));
+        let is_storage = |space: &naga::AddressSpace| matches!(space, naga::AddressSpace::Storage { .. });
+        let storage = module.global_variables.iter().filter(|(_, variable)| is_storage(&variable.space)).count();
+        assert!(storage <= STORAGE_BUFFERS, "{stem}: {storage} storage buffers");
         checked += 1;
     }
     assert_eq!(checked, 4);
@@ -153,6 +159,7 @@ fn what_photons_are_followed_in_has_the_layout_the_shader_reads() {
         box_of_cell,
         first_group,
         buckets,
+        mesh_corners,
     );
     assert_eq!(members(PHOTONS, "Job"), job);
     let cell_box =
@@ -173,7 +180,9 @@ fn what_photons_are_followed_in_has_the_layout_the_shader_reads() {
         own,
         classes,
         is_piecewise,
-        padding,
+        root,
     );
     assert_eq!(members(PHOTONS, "Thing"), thing);
+    // The tree of a mesh is the renderer's.
+    assert_eq!(members(PHOTONS, "Node"), offsets!(Node, lo, first, hi, count));
 }

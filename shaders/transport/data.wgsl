@@ -53,6 +53,7 @@ struct Job {
     box_of_cell: u32,
     first_group: u32,           // of this dispatch
     buckets: vec3<u32>,         // by axis: the cell in which each of four buckets a plane begins
+    mesh_corners: u32,          // in `numbers`
 }
 
 struct CellBox {
@@ -76,7 +77,7 @@ struct Thing {
     row_y: vec4<f32>,
     row_z: vec4<f32>,
     shape: vec4<f32>,           // semi-axes; half sides; length, radius, inner radius
-    kind: u32,                  // 0 ellipsoid, 1 cuboid, 2 cylinder, 3 volume
+    kind: u32,                  // 0 ellipsoid, 1 cuboid, 2 cylinder, 3 mesh, 4 volume
     material: u32,
     density_g_per_cm3: f32,
     is_air: u32,
@@ -85,7 +86,7 @@ struct Thing {
     own: u32,
     classes: u32,               // of a volume: where (material, is air) by class begin in `indices`
     is_piecewise: u32,
-    padding: u32,
+    root: u32,                  // of a mesh, among the nodes
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
@@ -94,8 +95,9 @@ struct Thing {
 @group(0) @binding(3) var<storage, read> boxes: array<CellBox>;
 @group(0) @binding(4) var<storage, read> things: array<Thing>;
 @group(0) @binding(5) var<storage, read> voxels: array<u32>;    // class in the upper 4 bits (0 nothing), density in units of DENSITY_UNIT
-@group(0) @binding(6) var<storage, read_write> sums: array<atomic<u32>>; // by batch, then slot: low and high word, in units of 1/64
-@group(0) @binding(7) var<storage, read_write> trouble: array<atomic<u32>>; // by cause, histories that were given up
+@group(0) @binding(6) var<storage, read> nodes: array<Node>;     // of meshes
+@group(0) @binding(7) var<storage, read_write> sums: array<atomic<u32>>; // by batch, then slot: low and high word, in units of 1/64
+@group(0) @binding(8) var<storage, read_write> trouble: array<atomic<u32>>; // by cause, histories given up; then invocations that did all of theirs
 
 override DENSITY_UNIT: f32;   // g/cm³ that a voxel counts in
 
@@ -104,6 +106,7 @@ const NO_NUMBER: u32 = 0u;
 const NO_START: u32 = 1u;
 const NO_END: u32 = 2u;
 const NO_ANGLE: u32 = 3u;
+const ALL_DONE: u32 = 4u;
 
 var<private> given_up: bool;
 var<private> cause: u32;

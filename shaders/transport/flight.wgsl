@@ -119,13 +119,20 @@ fn attenuation_at(content: u32, amount: u32, point: vec3<f32>) -> f32 {
 }
 
 // Where the ray runs through the next of the dense shapes that `list` counts and names, lumens included: the first stretch that does not end
-// behind it, mm ahead; empty where there is none.
+// behind it, mm ahead; empty where there is none. Of a mesh that is ahead only where it begins: the rest is told once the ray is there.
 fn next_stretch(list: u32) -> vec2<f32> {
     var next = vec2<f32>(FAR_MM, -FAR_MM);
     let at = vec4<f32>(ray.position, 1.0);
     let along = vec4<f32>(ray.direction, 0.0);
     for (var n = 1u; n <= indices[list]; n += 1u) {
         let thing = indices[list + n];
+        let kind = things[thing].kind;
+        if has_meshes && kind == MESH {
+            look_along(things[thing].root, ray.position, ray.direction, -NEAR_MM);
+            let starts = select(first_mm, -FAR_MM, winding != 0.0);
+            if first_mm + NEAR_MM > starts && starts < next.x { next = vec2<f32>(starts, first_mm + NEAR_MM); }
+            continue;
+        }
         let x = things[thing].row_x;
         let y = things[thing].row_y;
         let z = things[thing].row_z;
@@ -133,7 +140,7 @@ fn next_stretch(list: u32) -> vec2<f32> {
         let q = vec3<f32>(dot(x, along), dot(y, along), dot(z, along));
         let shape = things[thing].shape.xyz;
         var one: vec2<f32>;
-        switch things[thing].kind {
+        switch kind {
             case 0u: { one = quadric(p / shape, q / shape, 1.0); }
             case 1u: { one = cuboid(p, q, -shape, shape); }
             default: { one = meet(quadric(vec3<f32>(p.xy, 0.0), vec3<f32>(q.xy, 0.0), shape.y), slab(p.z, q.z, 0.0, shape.x)); }

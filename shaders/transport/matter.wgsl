@@ -1,6 +1,7 @@
 // What is at a point: twin of src/transport/matter.rs.
 
 const NO_THING: u32 = 0xffffffffu;
+const VOLUME: u32 = 4u;
 
 // Attenuation by scene material at unit density, at this energy.
 var<private> medium: array<f32, 16>;
@@ -45,10 +46,15 @@ fn draw_thing(thing: u32, air: bool, alone: bool, point: vec3<f32>) {
     let at = vec4<f32>(point, 1.0);
     let local = vec3<f32>(dot(things[thing].row_x, at), dot(things[thing].row_y, at), dot(things[thing].row_z, at));
     let kind = things[thing].kind;
-    if kind == 3u { draw_voxel(thing, air, alone, local); return; }
-    if (things[thing].is_air != 0u) == air && contains(kind, things[thing].shape.xyz, local) {
-        add_part(things[thing].material, things[thing].density_g_per_cm3);
+    if kind == VOLUME { draw_voxel(thing, air, alone, local); return; }
+    if (things[thing].is_air != 0u) != air { return; }
+    var is_inside: bool;
+    if has_meshes && kind == MESH {
+        is_inside = winds_around(things[thing].root, point);
+    } else {
+        is_inside = contains(kind, things[thing].shape.xyz, local);
     }
+    if is_inside { add_part(things[thing].material, things[thing].density_g_per_cm3); }
 }
 
 fn contains(kind: u32, shape: vec3<f32>, p: vec3<f32>) -> bool {
@@ -56,6 +62,41 @@ fn contains(kind: u32, shape: vec3<f32>, p: vec3<f32>) -> bool {
     if kind == 1u { return all(abs(p) <= shape); }
     let squared = dot(p.xy, p.xy);
     return p.z >= 0.0 && p.z <= shape.x && squared <= shape.y * shape.y && !(shape.z > 0.0 && squared < shape.z * shape.z);
+}
+
+// Of a line through a mesh: beyond which place it counts, how often the mesh winds around that place, and the first crossing beyond it.
+var<private> counted_mm: f32;
+var<private> winding: f32;
+var<private> first_mm: f32;
+
+fn corner(index: u32) -> vec3<f32> {
+    let at = job.mesh_corners + 3u * index;
+    return vec3<f32>(numbers[at], numbers[at + 1u], numbers[at + 2u]);
+}
+
+// What a closed mesh has around a place is left once more than it is entered beyond it: no crossing has to be kept, however many there are.
+fn take_hit(at_mm: f32, step: f32) {
+    if !(at_mm > counted_mm) { return; }
+    winding -= step;
+    first_mm = min(first_mm, at_mm);
+}
+
+fn look_along(root: u32, position: vec3<f32>, direction: vec3<f32>, from_mm: f32) {
+    counted_mm = from_mm;
+    winding = 0.0;
+    first_mm = FAR_MM;
+    let size = abs(direction);
+    var axis = 2u;
+    if size.y > size.z { axis = 1u; }
+    if size.x > max(size.y, size.z) { axis = 0u; }
+    cross_mesh(root, position, direction, axis, from_mm);
+}
+
+// Whether a point is inside, by a line along no special direction.
+fn winds_around(root: u32, point: vec3<f32>) -> bool {
+    if any(point < nodes[root].lo) || any(point > nodes[root].hi) { return false; }
+    look_along(root, point, vec3<f32>(0.576129, 0.613407, 0.540113), 0.0);
+    return winding != 0.0;
 }
 
 fn voxel_at(thing: u32, at: vec3<u32>) -> u32 {

@@ -25,6 +25,19 @@ pub fn solid(shape: Shape, centre: DVec3, turn: DVec3, material: usize, density_
     Solid { shape, lps_from_local, material, density_g_per_cm3 }
 }
 
+/// A box as a mesh, where [`solid`] would have it.
+pub fn block(half_size_mm: DVec3, centre: DVec3, turn: DVec3, material: usize, density_g_per_cm3: f64) -> Mesh {
+    let corner = |i: usize| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) * 2.0 - 1.0;
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let turn = DQuat::from_scaled_axis(turn);
+    Mesh {
+        vertices_lps_mm: (0..8).map(|i| centre + turn * (corner(i) * half_size_mm)).collect(),
+        triangles: quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect(),
+        material,
+        density_g_per_cm3,
+    }
+}
+
 /// Everything that a scene can hold, on top of each other: kept air, boxes, a CT in two parts, a tube, an ellipsoid, a mesh.
 pub fn everything() -> Scene {
     let mut stream = Stream::new(17, 0);
@@ -51,14 +64,7 @@ pub fn everything() -> Scene {
     let cube = Shape::Cuboid { half_size_mm: DVec3::new(60.0, 50.0, 40.0) };
     let tube = Shape::Cylinder { length_mm: 60.0, radius_mm: 9.0, inner_radius_mm: 6.0 };
     let ellipsoid = Shape::Ellipsoid { semi_axes_mm: DVec3::new(30.0, 12.0, 18.0) };
-    let corner = |i: usize| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) * 2.0 - 1.0;
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let mesh = Mesh {
-        vertices_lps_mm: (0..8).map(|i| DVec3::new(20.0, 10.0, 5.0) + DQuat::from_rotation_y(0.5) * corner(i) * 14.0).collect(),
-        triangles: quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect(),
-        material: 4,
-        density_g_per_cm3: 4.5,
-    };
+    let mesh = block(DVec3::splat(14.0), DVec3::new(20.0, 10.0, 5.0), DVec3::new(0.0, 0.5, 0.0), 4, 4.5);
     scene(
         &["water", "bone_cortical", "steel_316l", "aluminium", "titanium", "air"],
         vec![

@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{DAffine3, DMat3, DVec3};
 
+use crate::render::mesh_tree::MeshTree;
 use crate::render::prepared::{Prepared, SeenMesh, SeenSolid, SeenVolume, Step};
 use crate::scene::model::Shape;
 
@@ -229,24 +230,29 @@ struct Trees {
     corners: Vec<[f32; 4]>,
 }
 
-/// The kind of a mesh among solids.
-const MESH: u32 = 3;
+/// `MESH` of `shared/mesh.wgsl`: the kind of a mesh among shapes.
+pub const MESH: u32 = 3;
 
 /// What boxes are enlarged by, mm: more than f32 rounds.
 const BOX_MARGIN_MM: f64 = 1e-3;
 
+/// Nodes of `tree` behind `first_node` and `first_triangle` others; places are counted from `origin`.
+pub fn nodes_of(tree: &MeshTree, first_node: usize, first_triangle: usize, origin: DVec3) -> impl Iterator<Item = Node> {
+    tree.nodes().map(move |([lo, hi], first, count)| Node {
+        lo: (lo - BOX_MARGIN_MM - origin).as_vec3().to_array(),
+        first: (first + if count == 0 { first_node } else { first_triangle }) as u32,
+        hi: (hi + BOX_MARGIN_MM - origin).as_vec3().to_array(),
+        count: count as u32,
+    })
+}
+
 impl Trees {
     fn pack(&mut self, seen: &SeenMesh, view: &crate::geometry::View, depth_ref_mm: f64) -> Solid {
         let tree = seen.made.tree.placed(&view.camera_from_lps);
-        let (root, first_triangle) = (self.nodes.len() as u32, self.corners.len() as u32 / 3);
-        let about = |v: DVec3| (v - DVec3::Z * depth_ref_mm).as_vec3();
-        self.nodes.extend(tree.nodes().map(|([lo, hi], first, count)| Node {
-            lo: about(lo - BOX_MARGIN_MM).to_array(),
-            first: first as u32 + if count == 0 { root } else { first_triangle },
-            hi: about(hi + BOX_MARGIN_MM).to_array(),
-            count: count as u32,
-        }));
-        self.corners.extend(tree.triangles().iter().flatten().map(|corner| about(*corner).extend(0.0).to_array()));
+        let (root, origin) = (self.nodes.len(), DVec3::Z * depth_ref_mm);
+        self.nodes.extend(nodes_of(&tree, root, self.corners.len() / 3, origin));
+        let corners = tree.triangles().iter().flatten();
+        self.corners.extend(corners.map(|corner| (*corner - origin).as_vec3().extend(0.0).to_array()));
         // Without a triangle there is no root to begin at.
         let [from, to] = if tree.triangles().is_empty() { [[0; 2]; 2] } else { [seen.bounds.from, seen.bounds.to] };
         Solid {
@@ -254,7 +260,7 @@ impl Trees {
             kind: MESH,
             material: seen.mesh.material as u32,
             density_g_per_cm3: seen.mesh.density_g_per_cm3 as f32,
-            root,
+            root: root as u32,
             ..Solid::default()
         }
     }

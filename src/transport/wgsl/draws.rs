@@ -1,14 +1,11 @@
 //! Angles and energies that the shader draws, against the formulas they stand for: its functions alone, driven by a kernel of their own.
 
 use glam::DVec3;
-use wgpu::util::DeviceExt;
 
-use super::QUANTA;
+use super::kernel::Kernel;
 use super::layout::Job;
-use super::pack::{self, Packed};
-use super::tests::software;
+use super::pack::Packed;
 use crate::geometry::{Intrinsics, Rigid, View};
-use crate::gpu::{Gpu, source, wait};
 use crate::scene::model::{Matter, Shape};
 use crate::scene::physics::{Material, atomic_weight, form_factors};
 use crate::transport::fixture::{scene, solid};
@@ -46,47 +43,26 @@ fn draw_scatterings(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// The kernel and its tables on a device.
+/// The kernel and its tables.
 struct Draws {
-    gpu: Box<Gpu>,
+    kernel: Kernel,
     packed: Packed,
-    pipeline: wgpu::ComputePipeline,
 }
 
 impl Draws {
     /// `None` (said) where there is no software Vulkan.
     fn new() -> Option<Self> {
-        let gpu = software()?;
+        let kernel = Kernel::new("draw_scatterings", KERNEL)?;
         let ball = solid(Shape::Ellipsoid { semi_axes_mm: DVec3::splat(50.0) }, 600.0 * DVec3::Z, DVec3::ZERO, 0, 1.0);
         let scene = scene(&MATERIALS, vec![Matter::Solids(vec![ball])]);
         let intrinsics = Intrinsics { fx: 1000.0, fy: 1000.0, skew: 0.0, cx: 199.5, cy: 149.5 };
         let view = View { size_px: [400, 300], intrinsics, camera_from_lps: Rigid::IDENTITY };
         let simulation = Simulation::new(&scene, &view, Histories::default()).expect("good");
-        let packed = Packed::new(simulation.world());
-        let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let text = source("follow_photons").expect("embedded") + KERNEL;
-        let label = Some("draw_scatterings");
-        let text = wgpu::ShaderSource::Wgsl(text.into());
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor { label, source: text });
-        let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain([("QUANTA", QUANTA)]).collect();
-        let compilation_options =
-            wgpu::PipelineCompilationOptions { constants: &constants, ..wgpu::PipelineCompilationOptions::default() };
-        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label,
-            layout: None,
-            module: &module,
-            entry_point: label,
-            compilation_options,
-            cache: None,
-        });
-        let refused = pollster::block_on(scope.pop()).map(|error| error.to_string());
-        assert_eq!(refused, None);
-        Some(Self { gpu, packed, pipeline })
+        Some(Self { kernel, packed: Packed::new(simulation.world()) })
     }
 
     /// Cosines and kept energies, keV, of case `number`.
     fn drawn(&self, number: usize, is_rayleigh: bool) -> Vec<[f64; 2]> {
-        use wgpu::BufferUsages as Usage;
         let (material, energy_kev) = CASES[number];
         let job = Job {
             source: [0.0, 0.0, 0.0, energy_kev as f32],
@@ -96,38 +72,13 @@ impl Draws {
             seed: [7, u32::from(is_rayleigh)],
             ..self.packed.job
         };
-        let device = &self.gpu.device;
-        let filled = |contents: &[u8], usage| {
-            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage })
-        };
-        let empty =
-            |size, usage| device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
-        let uniform = filled(bytemuck::bytes_of(&job), Usage::UNIFORM);
-        let numbers = filled(bytemuck::cast_slice(&self.packed.numbers), Usage::STORAGE);
-        let indices = filled(bytemuck::cast_slice(&self.packed.indices), Usage::STORAGE);
-        let sums = empty(8 * u64::from(EACH * INVOCATIONS), Usage::STORAGE | Usage::COPY_SRC);
-        let trouble = empty(super::TROUBLE_BYTES, Usage::STORAGE | Usage::COPY_SRC);
-        let read_back = empty(sums.size() + trouble.size(), Usage::MAP_READ | Usage::COPY_DST);
-        // Those that the kernel uses, as the shader numbers them.
-        let entries = [(0, &uniform), (1, &numbers), (2, &indices), (6, &sums), (7, &trouble)]
-            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() });
-        let layout = self.pipeline.get_bind_group_layout(0);
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &entries });
-        let mut commands = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: None });
-        {
-            let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes: None });
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups(INVOCATIONS / 64, 1, 1);
-        }
-        commands.copy_buffer_to_buffer(&sums, 0, &read_back, 0, sums.size());
-        commands.copy_buffer_to_buffer(&trouble, 0, &read_back, sums.size(), trouble.size());
-        self.gpu.queue.submit([commands.finish()]);
-        let (sender, receiver) = std::sync::mpsc::channel();
-        read_back.slice(..).map_async(wgpu::MapMode::Read, move |result| drop(sender.send(result)));
-        wait(&self.gpu, &receiver, 1).expect("runs");
-        let bytes = read_back.slice(..).get_mapped_range().expect("mapped");
-        let words: &[u32] = bytemuck::cast_slice(&bytes);
+        let inputs: [(u32, &[u8]); 3] = [
+            (0, bytemuck::bytes_of(&job)),
+            (1, bytemuck::cast_slice(&self.packed.numbers)),
+            (2, bytemuck::cast_slice(&self.packed.indices)),
+        ];
+        let outputs = [(7, 8 * u64::from(EACH * INVOCATIONS)), (8, super::TROUBLE_BYTES)];
+        let words = self.kernel.run(&inputs, &outputs, INVOCATIONS / 64);
         let (values, given_up) = words.split_at((2 * EACH * INVOCATIONS) as usize);
         assert!(given_up.iter().all(|count| *count == 0), "{given_up:?}");
         values.as_chunks::<2>().0.iter().map(|pair| pair.map(|word| f64::from(f32::from_bits(word)))).collect()

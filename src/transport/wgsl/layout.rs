@@ -94,8 +94,8 @@ pub struct Job {
     pub first_group: u32,
     /// By axis.
     pub buckets: [u32; 3],
-    /// Nothing.
-    pub padding_d: u32,
+    /// Of meshes.
+    pub mesh_corners: u32,
 }
 
 /// A box of cells.
@@ -128,7 +128,7 @@ pub struct CellBox {
     pub high_cell: u32,
 }
 
-/// A shape or a volume.
+/// A shape, a mesh or a volume.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct Thing {
@@ -140,7 +140,7 @@ pub struct Thing {
     pub row_z: [f32; 4],
     /// Sizes.
     pub shape: [f32; 4],
-    /// Ellipsoid, cuboid, cylinder, volume.
+    /// Ellipsoid, cuboid, cylinder, mesh, volume.
     pub kind: u32,
     /// Scene material.
     pub material: u32,
@@ -158,6 +158,6 @@ pub struct Thing {
     pub classes: u32,
     /// 1: constant within voxels.
     pub is_piecewise: u32,
-    /// Nothing.
-    pub padding: u32,
+    /// Of a mesh, among the nodes.
+    pub root: u32,
 }

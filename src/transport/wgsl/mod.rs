@@ -8,12 +8,17 @@ mod pack;
 #[cfg(test)]
 mod draws;
 #[cfg(test)]
+mod kernel;
+#[cfg(test)]
+mod meshes;
+#[cfg(test)]
 mod tests;
 
 use self::pack::{Packed, unsupported};
 use super::simulation::Simulation;
 use super::tally::{Batch, FATES, PAGES, Tally};
 use crate::gpu::{Gpu, GpuError, compile, dispatch, finish, wait};
+use crate::render::wgsl::layout::MESH;
 use crate::time::Stopwatch;
 
 /// Units of the shader's sums per keV, or photon.
@@ -36,7 +41,8 @@ const DISPATCH_MS: f64 = 200.0;
 const FIRST_SHARE: u64 = 64;
 /// Why the shader gives a history up, in the order of its constants.
 const CAUSES: [&str; 4] = ["a signal that is no number", "no direction in the field", "a flight without end", "no angle"];
-const TROUBLE_BYTES: u64 = 4 * CAUSES.len() as u64;
+/// By cause, and how many invocations did all of their histories.
+const TROUBLE_BYTES: u64 = 4 * (CAUSES.len() as u64 + 1);
 /// Invocations of one group.
 const GROUP: u64 = 64;
 
@@ -109,12 +115,13 @@ impl<'a> GpuTransport<'a> {
             ..packed.job
         };
         let sums_bytes = BATCHES * (PAGES * pixels + materials + FATES) as u64 * 8;
-        let tables: [(&'static str, &[u8]); 5] = [
-            ("tables", bytemuck::cast_slice(&packed.numbers)),
+        let tables: [(&'static str, &[u8]); 6] = [
+            ("tables and triangles", bytemuck::cast_slice(&packed.numbers)),
             ("indices", bytemuck::cast_slice(&packed.indices)),
             ("super-voxels", bytemuck::cast_slice(&packed.boxes)),
             ("shapes", bytemuck::cast_slice(&packed.things)),
             ("the CT", bytemuck::cast_slice(&packed.voxels)),
+            ("trees of meshes", bytemuck::cast_slice(&packed.nodes)),
         ];
         let needs = tables.iter().map(|(what, bytes)| (*what, bytes.len() as u64)).chain([("the sums", sums_bytes)]);
         for (what, needed) in needs {
@@ -139,7 +146,10 @@ impl<'a> GpuTransport<'a> {
         for (input, (_, bytes)) in inputs.iter().zip(tables) {
             gpu.queue.write_buffer(input, 0, bytes);
         }
-        let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain([("QUANTA", QUANTA)]).collect();
+        // Without meshes it is smaller, and faster.
+        let has_meshes = packed.things.iter().any(|thing| thing.kind == MESH);
+        let own = [("QUANTA", QUANTA), ("has_meshes", f64::from(u8::from(has_meshes)))];
+        let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain(own).collect();
         let pipeline = compile(gpu, "follow_photons", &constants)?;
         let advances = simulation.histories().count.div_ceil(BATCHES * histories_per_batch);
         let groups_at_once = (BATCHES * u64::from(job.groups_per_batch) / FIRST_SHARE).max(1);
@@ -228,7 +238,7 @@ impl<'a> GpuTransport<'a> {
                 |error: wgpu::MapRangeError| GpuError::Lost { adapter: self.gpu.adapter.clone(), detail: error.to_string() };
             let bytes = self.read_back.slice(..).get_mapped_range().map_err(lost)?;
             let words: &[u32] = bytemuck::cast_slice(&bytes);
-            let (sums, trouble) = words.split_at(words.len() - CAUSES.len());
+            let (sums, trouble) = words.split_at(words.len() - CAUSES.len() - 1);
             let slots = sums.len() / (2 * BATCHES as usize);
             for slots in sums.chunks_exact(2 * slots) {
                 let mut batch = Batch::new(self.pixels, self.materials);
@@ -237,8 +247,11 @@ impl<'a> GpuTransport<'a> {
                 }
                 tally.add(&batch);
             }
-            let causes = CAUSES.iter().zip(trouble).filter(|(_, histories)| **histories > 0);
-            causes.map(|(cause, histories)| format!("{histories}: {cause}")).collect::<Vec<_>>().join(", ")
+            let (given_up, done) = trouble.split_at(CAUSES.len());
+            let causes = CAUSES.iter().zip(given_up).map(|(cause, histories)| (*cause, u64::from(*histories)));
+            let cut_short = (groups * GROUP).saturating_sub(done.iter().copied().map(u64::from).sum()) * u64::from(self.job.each);
+            let told = causes.chain([("loops that the driver ended", cut_short)]).filter(|(_, histories)| *histories > 0);
+            told.map(|(cause, histories)| format!("{histories}: {cause}")).collect::<Vec<_>>().join(", ")
         };
         self.read_back.unmap();
         match what.is_empty() {

@@ -3,6 +3,7 @@
 use glam::{DAffine3, DVec3};
 
 use super::layout::{CellBox, Job, Thing};
+use crate::render::wgsl::layout::{MESH, Node, nodes_of};
 use crate::scene::model::Shape;
 use crate::scene::optics::{Axis, Field};
 use crate::scene::physics::ENERGY_RANGE_KEV;
@@ -10,7 +11,7 @@ use crate::transport::cells::Cells;
 use crate::transport::contents::{Content, Mixture};
 use crate::transport::flight::Space;
 use crate::transport::history::{Estimator, World};
-use crate::transport::matter::{Body, Grid};
+use crate::transport::matter::{Body, Grid, MeshBody};
 use glam::DVec2;
 
 /// Materials and parts of a point that the shader holds.
@@ -22,6 +23,8 @@ const CLASSES: usize = 15;
 /// What a voxel's density is counted in, g/cm³, and the largest count.
 const DENSITY_UNIT: f64 = 1e-7;
 const MOST_DENSITY: u32 = 0x0fff_ffff;
+/// The kind of a volume among things.
+const VOLUME: u32 = 4;
 /// What rounding to f32 may take from a bound of densities.
 const ROUNDING: f64 = 1e-6;
 
@@ -34,6 +37,7 @@ pub struct Packed {
     pub boxes: Vec<CellBox>,
     pub things: Vec<Thing>,
     pub voxels: Vec<u32>,
+    pub nodes: Vec<Node>,
 }
 
 /// The constants that the shader shares with the tables.
@@ -70,11 +74,10 @@ pub fn unsupported(world: &World) -> Option<String> {
     }
     let things = || world.space.iter().flat_map(|space| &space.things);
     if things().count() > THINGS {
-        return Some(format!("{} shapes and volumes, the shader takes {THINGS}", things().count()));
+        return Some(format!("{} shapes, meshes and volumes, the shader takes {THINGS}", things().count()));
     }
     for thing in things() {
         match &thing.body {
-            Body::Mesh(_) => return Some("meshes have no shader for photons yet".to_owned()),
             Body::Volume(grid) if grid.classes.len() > CLASSES => {
                 return Some(format!("a CT of {} materials, the shader takes {CLASSES}", grid.classes.len()));
             }
@@ -84,7 +87,7 @@ pub fn unsupported(world: &World) -> Option<String> {
                     return Some(format!("a CT of up to {most:.1} g/cm3, the shader counts to 26.8"));
                 }
             }
-            Body::Solid(_) => {}
+            Body::Solid(_) | Body::Mesh(_) => {}
         }
     }
     None
@@ -121,6 +124,7 @@ impl Packed {
         packed.voxels.push(0);
         packed.things.push(Thing::default());
         packed.boxes.push(CellBox::default());
+        packed.nodes.push(Node::default());
         packed
     }
 
@@ -243,6 +247,7 @@ impl Packed {
                 [one.low_cell, one.high_cell].map(|[x, y, z]| u32::from(x) | u32::from(y) << 10 | u32::from(z) << 20);
             CellBox { low, content, high, amount, x_below, x_above, y_below, y_above, z_below, z_above, low_cell, high_cell }
         }));
+        self.job.mesh_corners = self.numbers.len() as u32;
         for thing in &space.things {
             let packed = match &thing.body {
                 Body::Solid(body) => {
@@ -263,7 +268,7 @@ impl Packed {
                     }
                 }
                 Body::Volume(grid) => self.volume(grid, origin),
-                Body::Mesh(_) => Thing::default(),
+                Body::Mesh(body) => self.mesh(body, origin),
             };
             self.things.push(Thing { own: thing.own as u32, ..packed });
         }
@@ -296,6 +301,22 @@ impl Packed {
         [2 | first << 2, mixture.ranges.len() as u32 | flags << 8 | (mixture.things.len() as u32) << 16]
     }
 
+    fn mesh(&mut self, body: &MeshBody, origin: DVec3) -> Thing {
+        let root = self.nodes.len();
+        let first_triangle = (self.numbers.len() - self.job.mesh_corners as usize) / 9;
+        self.nodes.extend(nodes_of(&body.tree, root, first_triangle, origin));
+        let corners = body.tree.triangles().iter().flatten();
+        self.numbers.extend(corners.flat_map(|corner| (*corner - origin).as_vec3().to_array()));
+        Thing {
+            kind: MESH,
+            material: body.mesh.material as u32,
+            density_g_per_cm3: body.mesh.density_g_per_cm3 as f32,
+            is_air: u32::from(body.is_air),
+            root: root as u32,
+            ..Thing::default()
+        }
+    }
+
     fn volume(&mut self, grid: &Grid, origin: DVec3) -> Thing {
         let classes = self.indices(grid.classes.iter().flat_map(|(material, is_air)| [*material, u32::from(*is_air)]));
         let first_voxel = self.voxels.len() as u32;
@@ -306,7 +327,7 @@ impl Packed {
         };
         self.voxels.extend(volume.class.iter().zip(&volume.density_g_per_cm3).map(voxel));
         Thing {
-            kind: 3,
+            kind: VOLUME,
             size: volume.size.map(|n| n as u32),
             first_voxel,
             classes,

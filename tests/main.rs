@@ -284,6 +284,8 @@ mod crosscheck_live;
 mod crosscheck_rehearsal;
 mod crosscheck_metal;
 mod lab_truth;
+#[cfg(unix)]
+mod lab_wires;
 mod session_clocks;
 mod session_counters;
 mod session_declared;

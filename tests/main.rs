@@ -129,6 +129,7 @@ mod report_page;
 mod gallery;
 mod viewer_boards;
 mod viewer_drawn;
+mod viewer_golden;
 mod viewer_mouse;
 mod viewer_overlays;
 mod viewer_pace;

@@ -113,10 +113,15 @@ pub fn wait_for_pairs(live: &Live, count: usize) {
 
 /// That a frame is bound to its own exposure of 0.3 s, at its own time, with the joints at which the arm stood in it.
 pub fn has_its_own_exposure(lab: &Lab, pose: &Value, counter: u32) {
+    is_of_exposure(&file_of(lab, counter), pose, counter);
+}
+
+/// The same of a frame that the mock keeps as `file`.
+pub fn is_of_exposure(file: &Path, pose: &Value, counter: u32) {
     let binding = &pose["binding"];
     let exposure = &binding["exposure"];
     assert_eq!(exposure["counter"], counter, "frame of exposure {counter}: {binding:#}");
-    let off_us = binding["time_us"].as_i64().expect("a time") - began_us(&file_of(lab, counter)) - 150_000;
+    let off_us = binding["time_us"].as_i64().expect("a time") - began_us(file) - 150_000;
     assert!(off_us.abs() < TIME_US, "exposure {counter}: {off_us} µs off");
     let told = scripted(counter);
     for (joint, near) in JOINTS {

@@ -129,6 +129,7 @@ mod report_page;
 mod gallery;
 mod viewer_boards;
 mod viewer_drawn;
+mod viewer_golden;
 mod viewer_mouse;
 mod viewer_overlays;
 mod viewer_pace;
@@ -284,6 +285,8 @@ mod crosscheck_live;
 mod crosscheck_rehearsal;
 mod crosscheck_metal;
 mod lab_truth;
+#[cfg(unix)]
+mod lab_wires;
 mod session_clocks;
 mod session_counters;
 mod session_declared;

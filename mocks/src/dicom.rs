@@ -1,6 +1,7 @@
 //! Frames as a C-arm would store them: DICOM XA, linear 16-bit values, with a made-up name that must not leave the import.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::{tags, uids};
@@ -31,6 +32,17 @@ pub struct FrameTags {
     pub instance: u32,
     /// Filter and collimator, if the console stores them.
     pub beam: Option<BeamTags>,
+}
+
+/// A frame that waits for its exposure.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    /// Where its file appears.
+    pub path: PathBuf,
+    /// What the file says besides pixels; the time of acquisition is filled in when it is known.
+    pub tags: FrameTags,
+    /// Pixel values, row by row.
+    pub values: Arc<[u16]>,
 }
 
 /// What a console knows of the beam besides its voltage and current.
@@ -71,7 +83,7 @@ impl BeamTags {
 }
 
 /// First of the mock's UIDs: 2.25 and a UUID (version 8), whose low 62 bits are counted.
-const UID_BASE: u128 = 0x6d6f_636b_6c61_8b00_8000_0000_0000_0000;
+pub(crate) const UID_BASE: u128 = 0x6d6f_636b_6c61_8b00_8000_0000_0000_0000;
 
 /// `YYYYMMDD` and `HHMMSS.FFFFFF` of microseconds since 1970.
 fn date_and_time(us: i64) -> (String, String) {

@@ -129,6 +129,8 @@ pub struct Channel {
     pub line: Line,
     /// How long an unplugged line stays away.
     pub unplugged_s: f64,
+    /// What ends a packet: a line that is plugged in again begins with it.
+    pub delimiter: u8,
     due: VecDeque<FaultKind>,
     muted: bool,
     held: Held,
@@ -139,7 +141,7 @@ impl Channel {
     /// A faultless channel on `line`.
     #[must_use]
     pub fn new(line: Line) -> Self {
-        Self { line, unplugged_s: 1.0, due: VecDeque::new(), muted: false, held: Held::Nothing, plug_at_s: None }
+        Self { line, unplugged_s: 1.0, delimiter: 0, due: VecDeque::new(), muted: false, held: Held::Nothing, plug_at_s: None }
     }
 
     /// Lets `kind` befall the next packet that is not under the spell of an earlier fault.
@@ -157,7 +159,7 @@ impl Channel {
         }
         self.plug_at_s = None;
         self.line.plug()?;
-        self.line.write(&[0]);
+        self.line.write(&[self.delimiter]);
         Ok(true)
     }
 

@@ -5,12 +5,16 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MockError;
+use crate::delivery::Way;
+use crate::dialect::Dialect;
 use crate::drawn;
 use crate::kinematics::{CarmGeometry, DRILL_LENGTH_MM, camera_from_lps, pieces, projection};
-use crate::lab::{Displacement, Exposure, Lab};
+use crate::lab::{Device, Displacement, Exposure, Lab};
 use crate::matrix::{Mat4, dot, mul, point, rotation, translation};
+use crate::monitor::crop_px;
 use crate::phantom::{Bead, Phantom};
 use crate::script::Script;
+use crate::storescu::{CALLED, CALLING};
 use crate::voxels::voxelise;
 
 /// Geometry of the lab's C-arm and the size of its frames.
@@ -61,20 +65,27 @@ fn displaced(world_from_lps: &Mat4, by: &Displacement) -> Mat4 {
     mul(&mul(&translation(x, y, z), world_from_lps), &turned)
 }
 
-/// Writes the lab kit into `folder`: CT, beads, landmarks, scene, calibrations, session and truth; C-arm and robot where they have a port.
-/// A CT is taken from `drawn` where it was kept there.
+/// How the devices and their frames reach the receiver.
+#[derive(Clone, Debug, Default)]
+pub struct Wires<'a> {
+    /// Ports of C-arm and robot, where they have one.
+    pub ports: [Option<&'a str>; 2],
+    /// Devices that print lines instead of sending packets.
+    pub dialects: &'a [(Device, Dialect)],
+    /// How frames come.
+    pub way: Way,
+}
+
+/// Writes the lab kit into `folder`: CT, beads, landmarks, scene, calibrations, session and truth; C-arm and robot where they have a port, with
+/// a declaration where they print lines. A CT is taken from `drawn` where it was kept there.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(
-    folder: &Path,
-    script: &Script,
-    phantom: &Phantom,
-    ports: [Option<&str>; 2],
-    drawn: Option<&Path>,
-) -> Result<(), MockError> {
+pub fn write(folder: &Path, script: &Script, phantom: &Phantom, wires: &Wires, drawn: Option<&Path>) -> Result<(), MockError> {
     let lab = script.lab;
-    std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
+    for name in ["frames", wires.way.folder()] {
+        std::fs::create_dir_all(folder.join(name)).map_err(MockError::io(folder.display()))?;
+    }
     let ct = drawn::once(drawn, &format!("{phantom:?}"), || voxelise(phantom).packed())?;
     let path = folder.join("ct.nii.gz");
     std::fs::write(&path, ct).map_err(MockError::io(path.display()))?;
@@ -87,13 +98,25 @@ pub fn write(
     put(folder, "k.json", &k)?;
     put(folder, "scene.json", &scene)?;
     put(folder, "scene-001.json", &of_first_frame(lab, &arm(lab)?, scene, &k))?;
-    let [carm, robot] = ports;
-    let carm = carm.map(|port| json!({"port": port, "baud": 921_600, "calibration": "carm.json"}));
-    let robot = robot.map(|port| json!({"port": port, "baud": 921_600, "model": "robot.json"}));
-    let session = json!({
-        "carm": carm, "robot": robot, "frames": {"folder": "frames"}, "scene": "scene.json", "beads": "beads.mrk.json",
+    let [mut carm, mut robot] = wires.ports.map(|port| port.map(|port| json!({"port": port, "baud": 921_600})));
+    for (line, device, key, file) in
+        [(&mut carm, Device::Carm, "calibration", "carm.json"), (&mut robot, Device::Robot, "model", "robot.json")]
+    {
+        let Some(line) = line else { continue };
+        line[key] = file.into();
+        if let Some((_, dialect)) = wires.dialects.iter().find(|(printing, _)| *printing == device) {
+            let name = format!("{}-lines.json", device.name());
+            put(folder, &name, &dialect.declaration(device))?;
+            line["adapter"] = name.into();
+        }
+    }
+    let mut session = json!({
+        "carm": carm, "robot": robot, "frames": frames(lab, &wires.way)?, "scene": "scene.json", "beads": "beads.mrk.json",
         "landmarks": "landmarks.mrk.json", "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"
     });
+    if matches!(wires.way, Way::Monitor(_) | Way::Recording(_)) {
+        session["domain"] = "display".into();
+    }
     put(folder, "session.json", &session)?;
     put(folder, "truth.json", &truth(script, phantom)?)
 }
@@ -119,6 +142,20 @@ fn markups(points: &[Bead], description: &str) -> Value {
             "labelFormat": "%N-%d", "controlPoints": points.iter().enumerate().map(point).collect::<Vec<_>>(), "measurements": []
         }]
     })
+}
+
+/// The session's word of how frames come.
+fn frames(lab: &Lab, way: &Way) -> Result<Value, MockError> {
+    let mut frames = json!({"folder": "frames"});
+    match way {
+        Way::Folder => {}
+        Way::Dicom(port) => frames["dicom"] = json!({"port": port, "ae_title": CALLED, "calling_ae_titles": [CALLING]}),
+        Way::Monitor(file) | Way::Recording(file) => {
+            let from = std::path::absolute(file).map_err(MockError::io(file.display()))?;
+            frames["video"] = json!({"from": from, "crop_px": crop_px(arm(lab)?.size_px)});
+        }
+    }
+    Ok(frames)
 }
 
 /// Place of the robot among the scene's objects.

@@ -18,8 +18,12 @@ pub mod drawn;
 pub mod dicom;
 pub mod tag_lie;
 pub mod detector;
-pub mod kit;
 pub mod script;
+pub mod dialect;
+pub mod monitor;
+pub mod storescu;
+pub mod kit;
+pub mod delivery;
 pub mod oddity;
 pub mod play;
 

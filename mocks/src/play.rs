@@ -8,7 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
 use crate::MockError;
-use crate::dicom::{FrameTags, deliver, encode};
+use crate::delivery::{Delivery, Way};
+use crate::dialect::Dialect;
+use crate::dicom::Drawn;
 use crate::fault::{Channel, FaultKind};
 use crate::lab::{Device, Fault};
 use crate::oddity::Oddity;
@@ -43,6 +45,10 @@ pub struct Performance {
     pub missing: f64,
     /// Lines that carry random bytes instead of packets.
     pub garbage: Vec<Device>,
+    /// Devices that print lines instead of sending packets.
+    pub dialects: Vec<(Device, Dialect)>,
+    /// How frames reach the receiver.
+    pub way: Way,
     /// What the devices say oddly.
     pub oddities: Vec<Oddity>,
     /// Where every packet that leaves a device is noted: host time in µs, device, sequence, bytes.
@@ -50,22 +56,6 @@ pub struct Performance {
     /// Seed of encoders and faults.
     pub seed: u64,
 }
-
-/// A frame that waits for its exposure.
-#[derive(Clone, Debug)]
-pub struct Drawn {
-    /// Where its file appears.
-    pub path: PathBuf,
-    /// What the file says besides pixels; the time of acquisition is filled in when it is known.
-    pub tags: FrameTags,
-    /// Pixel values, row by row.
-    pub values: std::sync::Arc<[u16]>,
-}
-
-/// The file of this exposure (from 0) arrives in two halves, as over a slow share.
-const HALVED: usize = 1;
-/// Pause between the halves.
-const HALF_PAUSE_S: f64 = 0.4;
 
 /// What [`FaultKind::Jump`] adds to a device's clock.
 const JUMP_US: u64 = 5_000_000;
@@ -101,11 +91,16 @@ pub fn play(
     let mut senders: Vec<Sender> =
         lines.into_iter().map(|(device, line)| Sender::new(device, line, script, performance)).collect();
     for sender in &mut senders {
-        sender.channel.line.write(&[0]);
+        sender.channel.line.write(&[sender.channel.delimiter]);
     }
+    let mut delivery = Delivery::new(script, frames, &performance.way)?;
+    let awaiting = Instant::now();
     await_reader(&senders, performance.await_reader_s, performance.await_all)?;
+    while !delivery.is_awaited() && awaiting.elapsed().as_secs_f64() < performance.await_reader_s {
+        std::thread::sleep(Duration::from_millis(10));
+    }
     std::thread::sleep(Duration::from_secs_f64(performance.start_delay_s));
-    let mut files = Files { script, frames, delivered: 0, half: None, started_us: now_us() };
+    delivery.start(now_us());
     let mut faults = performance.faults.clone();
     let mut announced = 0;
     let end_s = script.end_s() + performance.idle_s;
@@ -143,12 +138,13 @@ pub fn play(
             announced += 1;
             tell(json!({"event": "exposure", "counter": announced, "at_s": now_s}));
         }
-        files.advance(now_s, tell)?;
+        delivery.advance(now_s, tell)?;
         if last {
             break;
         }
         std::thread::sleep(Duration::from_millis(1));
     }
+    let delivered = delivery.finish(tell);
     let sent: serde_json::Map<_, _> = senders
         .iter()
         .map(|s| {
@@ -156,7 +152,7 @@ pub fn play(
             (s.device.name().to_owned(), counts)
         })
         .collect();
-    tell(json!({"event": "finished", "frames": files.delivered, "sent": sent}));
+    tell(json!({"event": "finished", "frames": delivered, "sent": sent}));
     // The end of the script must not look like pulled plugs.
     std::thread::sleep(Duration::from_secs_f64(performance.linger_s));
     Ok(())
@@ -206,6 +202,8 @@ struct Sender {
     stall_s: [f64; 2],
     stall_random: ChaCha8Rng,
     garbage: bool,
+    /// How it prints lines, where it does not send packets.
+    dialect: Option<Dialect>,
     oddities: Vec<Oddity>,
     /// When the clock stopped.
     frozen_s: Option<f64>,
@@ -250,6 +248,8 @@ impl Sender {
         let mut stall_random = random.clone();
         stall_random.set_stream(stream + 4);
         let garbage = performance.garbage.contains(&device);
+        let dialect = performance.dialects.iter().find(|(printing, _)| *printing == device).map(|(_, dialect)| *dialect);
+        channel.delimiter = if dialect.is_some() { b'\n' } else { 0 };
         let missing = performance.missing;
         Self {
             device,
@@ -270,6 +270,7 @@ impl Sender {
             stall_s: [0.0; 2],
             stall_random,
             garbage,
+            dialect,
             oddities: performance.oddities.clone(),
             frozen_s: None,
             began_s: 0.0,
@@ -342,22 +343,25 @@ impl Sender {
             self.packets += 1;
             if at_s >= self.seconds as f64 {
                 self.seconds += 1;
-                let metadata = if self.device == Device::Carm { carm_metadata() } else { robot_metadata() };
-                let stamp = self.stamp(at_s);
-                self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
+                // No line says who prints it.
+                if self.dialect.is_none() {
+                    let metadata = if self.device == Device::Carm { carm_metadata() } else { robot_metadata() };
+                    let stamp = self.stamp(at_s);
+                    self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
+                }
             }
             let stamp = self.stamp(at_s);
             let packet = match self.device {
                 Device::Carm => {
                     let mut message = script.carm(at_s, &mut self.random);
                     self.oddities.iter().for_each(|oddity| oddity.befall_carm(&mut message));
-                    encode_carm(stamp, &message)
+                    self.dialect.map_or_else(|| encode_carm(stamp, &message), |dialect| dialect.carm(stamp, &message))
                 }
                 Device::Robot => {
                     let mut message = script.robot(at_s, &mut self.random);
                     let share = at_s / script.duration_s;
                     self.oddities.iter().for_each(|oddity| oddity.befall_robot(at_s, share, &mut message));
-                    encode_robot(stamp, &message)
+                    self.dialect.map_or_else(|| encode_robot(stamp, &message), |dialect| dialect.robot(stamp, &message))
                 }
             };
             self.send(stamp, packet, at_s, notes)?;
@@ -380,43 +384,4 @@ impl Sender {
         }
         notes.as_mut().map_or(Ok(()), |notes| notes.note(self.device, stamp.sequence, packet.len()))
     }
-}
-
-/// The folder in which frames appear.
-struct Files<'a> {
-    script: &'a Script<'a>,
-    frames: &'a [Drawn],
-    delivered: usize,
-    half: Option<(PathBuf, Vec<u8>, f64)>,
-    started_us: i64,
-}
-
-impl Files<'_> {
-    fn advance(&mut self, now_s: f64, tell: &mut dyn FnMut(serde_json::Value)) -> Result<(), MockError> {
-        if let Some((path, rest, _)) = self.half.take_if(|(_, _, at_s)| now_s >= *at_s) {
-            append(&path, &rest)?;
-        }
-        let index = self.delivered;
-        let due = index < self.script.count() && now_s >= self.script.frame_s(index);
-        let Some(frame) = self.frames.get(index).filter(|_| due) else { return Ok(()) };
-        let acquired_us = self.started_us + (self.script.start_s(index) * 1e6) as i64;
-        let bytes = encode(&FrameTags { acquired_us: Some(acquired_us), ..frame.tags }, &frame.values)?;
-        let path = &frame.path;
-        if index == HALVED {
-            let (first, rest) = bytes.split_at(bytes.len() / 2);
-            std::fs::write(path, first).map_err(MockError::io(path.display()))?;
-            self.half = Some((path.clone(), rest.to_vec(), now_s + HALF_PAUSE_S));
-        } else {
-            deliver(path, &bytes)?;
-        }
-        self.delivered += 1;
-        tell(json!({"event": "frame", "file": path, "halved": index == HALVED, "at_s": now_s}));
-        Ok(())
-    }
-}
-
-fn append(path: &Path, bytes: &[u8]) -> Result<(), MockError> {
-    use std::io::Write;
-    let mut file = std::fs::OpenOptions::new().append(true).open(path).map_err(MockError::io(path.display()))?;
-    file.write_all(bytes).map_err(MockError::io(path.display()))
 }

@@ -42,6 +42,18 @@ pub struct RobotMessage {
     pub status: u32,
 }
 
+impl RobotMessage {
+    /// Nothing is measured.
+    pub const UNMEASURED: Self = Self {
+        commanded_deg: [f32::NAN; 5],
+        sensed_deg: None,
+        tendons: [[f32::NAN; 4]; 2],
+        tracker_from_base: None,
+        drill_rpm: f32::NAN,
+        status: 0,
+    };
+}
+
 /// Message 2; NaN joints are not measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarmMessage {
@@ -63,6 +75,21 @@ pub struct CarmMessage {
     pub exposure_counter: u32,
     /// Status bits.
     pub status: u32,
+}
+
+impl CarmMessage {
+    /// Nothing is measured, and there is no counter.
+    pub const UNMEASURED: Self = Self {
+        joints: [f64::NAN; 7],
+        tube_kvp: f32::NAN,
+        tube_ma: f32::NAN,
+        pulse_width_ms: f32::NAN,
+        filter_mm: [f32::NAN; 2],
+        field_mm: [f32::NAN; 4],
+        xray_on: false,
+        exposure_counter: NO_COUNTER,
+        status: 0,
+    };
 }
 
 /// Message 3.
@@ -177,8 +204,35 @@ fn cobs(bytes: &[u8]) -> Vec<u8> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+
+    /// What the protocol's golden frames and lines say.
+    pub(crate) const ROBOT: (Stamp, RobotMessage) = (
+        Stamp { sequence: 1234, device_us: 987_654_321 },
+        RobotMessage {
+            commanded_deg: [1.0, 2.0, 0.5, -1.0, 0.0],
+            sensed_deg: Some([1.125, 2.25, 0.5, -1.25, 0.0625]),
+            tendons: [[3.5, -0.25, 12.5, 0.75], [-3.5, 0.25, 9.5, 0.5]],
+            tracker_from_base: Some(([100.5, -20.25, 1500.0], [0.0, 0.0, 0.6, 0.8])),
+            drill_rpm: 8000.0,
+            status: 0,
+        },
+    );
+    pub(crate) const CARM: (Stamp, CarmMessage) = (
+        Stamp { sequence: 77, device_us: 123_456_789_012 },
+        CarmMessage {
+            joints: [120.5, -3.25, 40.0, 12.5, -30.25, f64::NAN, 1020.0],
+            tube_kvp: 74.0,
+            tube_ma: 3.5,
+            pulse_width_ms: 8.0,
+            filter_mm: [4.5, 0.25],
+            field_mm: [-120.0, -93.0, 120.0, 93.0],
+            xray_on: true,
+            exposure_counter: 17,
+            status: 0,
+        },
+    );
 
     /// The frames that the reference senders are held against, beyond those of the protocol.
     #[test]
@@ -234,27 +288,8 @@ mod tests {
 
     #[test]
     fn golden_frames_are_what_the_protocol_prints() {
-        let robot = RobotMessage {
-            commanded_deg: [1.0, 2.0, 0.5, -1.0, 0.0],
-            sensed_deg: Some([1.125, 2.25, 0.5, -1.25, 0.0625]),
-            tendons: [[3.5, -0.25, 12.5, 0.75], [-3.5, 0.25, 9.5, 0.5]],
-            tracker_from_base: Some(([100.5, -20.25, 1500.0], [0.0, 0.0, 0.6, 0.8])),
-            drill_rpm: 8000.0,
-            status: 0,
-        };
-        assert_eq!(encode_robot(Stamp { sequence: 1234, device_us: 987_654_321 }, &robot), golden(0));
-        let carm = CarmMessage {
-            joints: [120.5, -3.25, 40.0, 12.5, -30.25, f64::NAN, 1020.0],
-            tube_kvp: 74.0,
-            tube_ma: 3.5,
-            pulse_width_ms: 8.0,
-            filter_mm: [4.5, 0.25],
-            field_mm: [-120.0, -93.0, 120.0, 93.0],
-            xray_on: true,
-            exposure_counter: 17,
-            status: 0,
-        };
-        assert_eq!(encode_carm(Stamp { sequence: 77, device_us: 123_456_789_012 }, &carm), golden(1));
+        assert_eq!(encode_robot(ROBOT.0, &ROBOT.1), golden(0));
+        assert_eq!(encode_carm(CARM.0, &CARM.1), golden(1));
         let metadata = MetadataMessage {
             kind: 2,
             texts: ["CARM-0042", "1.4.2", "carm-nominal", "mm,deg,kV,mA,ms"].map(str::to_owned),

@@ -3,9 +3,11 @@
 use std::io::Read;
 use std::path::Path;
 
+use mock_lab::delivery::Way;
+use mock_lab::dialect::Dialect;
 use mock_lab::kinematics::{BODY_RADII_MM, DRILL_LENGTH_MM, DRILL_RADIUS_MM, SHAFT_RADIUS_MM};
-use mock_lab::kit::{true_world_from_lps, write};
-use mock_lab::lab::Lab;
+use mock_lab::kit::{Wires, true_world_from_lps, write};
+use mock_lab::lab::{Device, Lab};
 use mock_lab::matrix::{inverse, mul, point};
 use mock_lab::phantom::{Phantom, area_densities};
 use mock_lab::script::Script;
@@ -22,7 +24,8 @@ fn the_kit_is_whole_and_its_files_agree() {
     let folder = folder("kit");
     let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
     let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-    write(&folder, &script, &phantom, [Some("udp://127.0.0.1:5005"), None], None).expect("written");
+    let wires = Wires { ports: [Some("udp://127.0.0.1:5005"), None], ..Wires::default() };
+    write(&folder, &script, &phantom, &wires, None).expect("written");
     let session = json(&folder, "session.json");
     assert!(session["robot"].is_null(), "no robot was asked for");
     assert_eq!(session["carm"]["port"], "udp://127.0.0.1:5005");
@@ -104,6 +107,30 @@ fn mass_g(phantom: &Phantom, excess: f64) -> f64 {
 }
 
 #[test]
+fn the_session_says_how_devices_speak_and_how_frames_come() {
+    let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
+    let script = Script { lab: &lab, duration_s: 20.0, exposures: 1, counter: true };
+    let folder = folder("wires");
+    let session_of = |dialects: &[(Device, Dialect)], way: Way| {
+        let wires = Wires { ports: [Some("ttyCARM"), Some("file:robot.log")], dialects, way };
+        write(&folder, &script, &phantom, &wires, None).expect("written");
+        json(&folder, "session.json")
+    };
+    let plain = session_of(&[], Way::Folder);
+    assert!(plain["robot"]["adapter"].is_null() && plain["frames"] == serde_json::json!({"folder": "frames"}), "{plain:#}");
+    let session = session_of(&[(Device::Robot, Dialect::Json)], Way::Dicom(11_112));
+    assert!(session["carm"]["adapter"].is_null() && session["robot"]["port"] == "file:robot.log", "{session:#}");
+    assert_eq!((&session["frames"]["dicom"]["port"], &session["domain"]), (&serde_json::json!(11_112), &Value::Null));
+    let declared = json(&folder, session["robot"]["adapter"].as_str().expect("a declaration"));
+    assert_eq!(declared, Dialect::Json.declaration(Device::Robot));
+    let session = session_of(&[], Way::Monitor(folder.join("monitor.y4m")));
+    assert_eq!(session["domain"], "display");
+    assert_eq!(session["frames"]["video"]["crop_px"], serde_json::json!([50, 0, 620, 480]));
+    assert!(folder.join("exported").is_dir());
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
 fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
     let (unmoved, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
     let moved = Lab { moved_from: Some(3), ..unmoved.clone() };
@@ -122,7 +149,8 @@ fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
     let folder = folder("moved");
     let truth_of = |lab: &Lab| {
         let script = Script { lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
-        write(&folder, &script, &phantom, [Some("ttyCARM"), Some("ttyROBOT")], None).expect("written");
+        let wires = Wires { ports: [Some("ttyCARM"), Some("ttyROBOT")], ..Wires::default() };
+        write(&folder, &script, &phantom, &wires, None).expect("written");
         json(&folder, "truth.json")
     };
     let (before, now) = (truth_of(&unmoved), truth_of(&moved));

@@ -1,5 +1,7 @@
 //! A short session in real time, heard on both ports.
 
+use mock_lab::delivery::Way;
+use mock_lab::dialect::Dialect;
 use mock_lab::fault::FaultKind;
 use mock_lab::lab::{Device, Fault, Lab};
 use mock_lab::play::{Performance, play};
@@ -30,6 +32,8 @@ fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (
         stalled: 0.0,
         missing: 0.0,
         garbage: Vec::new(),
+        dialects: Vec::new(),
+        way: Way::Folder,
         oddities: Vec::new(),
         sent: None,
     };
@@ -116,6 +120,29 @@ fn garbage_holds_no_packet() {
     let (carm, robot, _) = play_two_seconds_with("garbage", |performance| performance.garbage = vec![Device::Robot]);
     assert!(robot.packets.is_empty() && robot.corrupt > 0, "{} packets of garbage", robot.packets.len());
     assert!(carm.packets.len() > 50, "the other line is sound");
+}
+
+/// The bytes that a robot which prints lines sends in two seconds, and those of the arm beside it, which sends packets.
+#[test]
+fn a_device_that_prints_lines_prints_one_for_each_sample_and_the_other_sends_packets() {
+    let list = std::env::temp_dir().join(format!("mock-lab-{}-lines.csv", std::process::id()));
+    let (carm, robot, _) = play_two_seconds_with("lines", |performance| {
+        performance.dialects = vec![(Device::Robot, Dialect::Csv)];
+        performance.linger_s = 0.3;
+        performance.sent = Some(list.clone());
+    });
+    let sent = std::fs::read_to_string(&list).expect("the list");
+    std::fs::remove_file(&list).expect("removed");
+    let numbers: Vec<u32> = sent
+        .lines()
+        .map(|line| line.split(',').collect::<Vec<_>>())
+        .filter(|fields| fields[1] == "robot")
+        .map(|fields| fields[2].parse().expect("a number"))
+        .collect();
+    assert!((198..=201).contains(&numbers.len()) && numbers.iter().zip(0..).all(|(found, due)| *found == due), "{numbers:?}");
+    // No zero ends anything on that line: all of it is one piece that is no packet.
+    assert!(robot.packets.is_empty() && robot.corrupt == 1, "{} packets, {} corrupt", robot.packets.len(), robot.corrupt);
+    assert!(carm.packets.len() > 50 && carm.corrupt == 0, "the arm sends packets");
 }
 
 #[test]

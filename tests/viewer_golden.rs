@@ -33,7 +33,9 @@ const STEP: f64 = 4.0;
 const MOST_BYTES: usize = 60_000;
 
 /// What the window is shown in, and the name of the picture of it. The newest exposure is the one that is seen.
-const STATES: [(&str, fn() -> BoardState); 4] = [
+type State = (&'static str, fn() -> BoardState);
+
+const STATES: [State; 4] = [
     ("live", || board(vec![refused(1), amber(2), accepted(3), accepted(4)])),
     ("replay", || BoardState { replayed: true, finished: true, ..board(vec![accepted(1), amber(2), accepted(3)]) }),
     ("amber", || board(vec![accepted(1), refused(2), amber(3)])),

@@ -353,7 +353,11 @@ mod tests {
         [unit(ASSOCIATE_AC, &body), fragment(IS_COMMAND | IS_LAST, &response), released].concat()
     }
 
-    fn stored(answers: Vec<u8>) -> (Result<u16, String>, Vec<(u8, Vec<u8>)>, Vec<u8>) {
+    /// Kind and body.
+    type Unit = (u8, Vec<u8>);
+
+    /// What became of it, the units that were sent, and the data set that they carry.
+    fn stored(answers: Vec<u8>) -> (Result<u16, String>, Vec<Unit>, Vec<u8>) {
         let values: Vec<u16> = (0..300 * 200).map(|at| (at % 60_000) as u16).collect();
         let file = encode(&TAGS, &values).expect("encodes");
         let mut wire = Wire { answers: std::io::Cursor::new(answers), heard: Vec::new() };

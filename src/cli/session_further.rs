@@ -196,7 +196,7 @@ fn video(answer: &str) -> Result<Option<VideoSettings>, String> {
     if !is_number && !path.exists() {
         return Err(format!("'{answer}' is neither a capture device nor a video file; plug it in, or name its number"));
     }
-    // A session is started from any folder, and a video file is not looked for beside it.
+    // A session that is moved still finds it.
     let from = if path.is_file() { std::path::absolute(path).unwrap_or_else(|_| path.to_owned()) } else { path.to_owned() };
     Ok(Some(VideoSettings::of(&from.to_string_lossy())))
 }

@@ -62,6 +62,7 @@ mod log;
 mod log_inputs;
 mod logged_frames;
 mod losses;
+mod named_files;
 mod newest_files;
 mod onlooker;
 mod pace;

@@ -17,6 +17,7 @@ use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
+use crate::pose::IntrinsicsFile;
 use crate::telemetry::{DeviceKind, Link, PortConfig};
 
 /// The C-arm's line.
@@ -130,6 +131,9 @@ pub struct SessionFile {
     /// The image intensifier: a file of `calibrate intensifier`. K is that of the undistorted picture; DRRs are distorted as the frames are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<PathBuf>,
+    /// K, as `register --intrinsics` reads it, for frames of which no calibrated arm tells it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<PathBuf>,
     /// AprilTags of the specimen, as `register --tags` reads them: they start the search for beads and are checked against it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<PathBuf>,
@@ -189,6 +193,9 @@ pub struct Setup {
     /// The image intensifier's calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<Box<IntensifierCalibration>>,
+    /// K that the session states.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<IntrinsicsFile>,
     /// Text of the tags' file and its name: as text, they come back from a log bit for bit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<(PathBuf, String)>,
@@ -277,7 +284,7 @@ impl Setup {
         };
         let scene_path = session.scene.clone();
         let (inputs, places) = Default::default();
-        let (landmarks, detector, intensifier, tags) = (None, None, None, None);
+        let (landmarks, detector, intensifier, intrinsics, tags) = (None, None, None, None, None);
         let mut setup = Self {
             session,
             carm,
@@ -289,6 +296,7 @@ impl Setup {
             landmarks,
             detector,
             intensifier,
+            intrinsics,
             tags,
             inputs,
             places,
@@ -357,6 +365,11 @@ impl Setup {
                 .map_err(|error| place("intensifier", format!("{error}; the C-arm's calibration has columns_px and rows_px")))?;
             self.intensifier = Some(Box::new(calibration));
             session.intensifier = Some(found);
+        }
+        if let Some(named) = &session.intrinsics {
+            let found = locate(path, "intrinsics", named)?;
+            self.intrinsics = Some(IntrinsicsFile::read(&found).map_err(|error| place("intrinsics", error.to_string()))?);
+            session.intrinsics = Some(found);
         }
         if let Some(named) = &session.tags {
             let found = locate(path, "tags", named)?;

@@ -84,6 +84,7 @@ mod scribe;
 mod shown;
 mod sources;
 mod standstill;
+mod stated_k;
 mod stop;
 mod studies;
 mod tie;

@@ -60,6 +60,9 @@ pub(super) fn of_refusal(refusal: &Refusal) -> &'static str {
         Refusal::Intrinsics { .. } | Refusal::IntrinsicsContradicted { .. } | Refusal::FocalDegenerate { .. } => {
             "check the calibration of the arm: SID, pitch, binning, crop"
         }
+        Refusal::OtherSize { .. } => {
+            "give \"intrinsics\" for frames as they arrive, or declare what the console does (\"console\")"
+        }
         Refusal::Bodies { .. } | Refusal::BodySplit { .. } => "a part of the specimen has moved: fix it, or register on one body",
         Refusal::Uncertain { .. } => "bring more beads, farther apart, into the field and expose again",
         Refusal::TagsWithoutIntrinsics

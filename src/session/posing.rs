@@ -7,6 +7,7 @@ use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
 use super::posed::Posed;
+use super::remedy::K_REMEDY;
 use super::shown::Shown;
 use super::told_field::told_field;
 use crate::beads::tags::TagLayout;
@@ -18,6 +19,11 @@ use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::BindingFlag;
+
+/// Where K may come from.
+const OF_ARM: &str = "K of the C-arm's calibration";
+const OF_SESSION: &str = "K of the session's intrinsics";
+const OF_HEADER: &str = "K of the frame's header";
 
 /// What is known about a session when a frame is registered.
 #[derive(Clone, Debug)]
@@ -50,8 +56,8 @@ pub struct PoseJob {
     intrinsics: Option<Intrinsics>,
     /// How sure K is; `None`: it is known, or solved.
     intrinsics_prior: Option<IntrinsicsPrior>,
-    /// K is the arm's own.
-    is_arms_k: bool,
+    /// Where K comes from, if it is known before the beads are looked at.
+    k_source: Option<&'static str>,
     /// The session states K, and not for a frame of this size: in words.
     misfit: Option<String>,
     /// K is that of the frame's header, or that of another binning: what was assumed.
@@ -92,25 +98,27 @@ impl PoseJob {
         }
         // Telemetry knows how far the detector was; what is stated stands for frames of which it tells nothing.
         let stated = stated.filter(|_| bound.joints.is_none() || sized.is_none());
-        let (is_arms_k, is_stated) = (stated.is_none() && intrinsics.is_some(), matches!(stated, Some(Ok(_))));
-        let mut misfit = None;
-        let mut intrinsics_prior = None;
+        let (mut misfit, mut intrinsics_prior, mut k_source) = (None, None, intrinsics.map(|_| OF_ARM));
         let (intrinsics, pitch_mm, header) = match (stated, header) {
             (Some(Ok(k)), _) => {
+                k_source = Some(OF_SESSION);
                 intrinsics_prior = k.prior;
                 let binned = || format!("K is for a larger picture: the frame is taken as binned {0} x {0}", k.binning);
                 let words = (k.binning > 1).then(binned);
                 (Some(k.intrinsics), k.pitch_mm.or(frame.tags.pitch_mm.map(|[across, _]| across)), words)
             }
             (Some(Err(words)), _) => {
-                misfit = Some(words);
+                (misfit, k_source) = (Some(words), None);
                 (None, None, None)
             }
-            (None, Some((k, pitch_mm, words))) => (Some(k), Some(pitch_mm), Some(words)),
+            (None, Some((k, pitch_mm, words))) => {
+                k_source = Some(OF_HEADER);
+                (Some(k), Some(pitch_mm), Some(words))
+            }
             (None, None) => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
         };
         // K is known after all.
-        let unfit = unfit.filter(|_| !is_stated);
+        let unfit = unfit.filter(|_| k_source.is_none());
         let bound = Bound { frame, ..bound };
         Self {
             bound,
@@ -122,7 +130,7 @@ impl PoseJob {
             source_to_isocentre_mm,
             intrinsics,
             intrinsics_prior,
-            is_arms_k,
+            k_source,
             misfit,
             header,
             unfit,
@@ -216,6 +224,8 @@ impl PoseJob {
         pose.prior_from("by telemetry");
         if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
             pose.doubt(words.clone());
+        } else if let Some(words) = pose.solved_k() {
+            pose.doubt(format!("{words}, and depth is as uncertain as f is: {K_REMEDY}"));
         }
         pose.hear_header(&self.bound.frame, self.intensifier.is_some());
         pose
@@ -237,7 +247,7 @@ impl PoseJob {
         };
         if !fuses
             || self.known.tie_disputed
-            || !self.is_arms_k
+            || self.k_source != Some(OF_ARM)
             || matches!(self.intensifier, Some(Err(_)))
             || self.bound.binding.is_guessed()
             || self.bound.binding.flags.iter().any(unsure)
@@ -347,6 +357,7 @@ impl Registered {
             warnings: job.warnings,
             intensifier: job.intensifier.and_then(Result::ok),
             pose_source,
+            k_source: job.k_source,
             view,
             robot,
             joints,

@@ -62,7 +62,7 @@ pub struct PoseJob {
     misfit: Option<String>,
     /// K is that of the frame's header, or that of another binning: what was assumed.
     header: Option<String>,
-    /// K is that of no calibration, because the frame's size does not fit it: in words.
+    /// K is that of no calibration, because the frame's size does not fit it, or is not the header's: in words.
     unfit: Option<String>,
     camera_from_world: Option<Rigid>,
 }
@@ -98,6 +98,7 @@ impl PoseJob {
         }
         // Telemetry knows how far the detector was; what is stated stands for frames of which it tells nothing.
         let stated = stated.filter(|_| bound.joints.is_none() || sized.is_none());
+        let off_header = stated.as_ref().and_then(|stated| stated.as_ref().ok()?.off_header(&frame));
         let (mut misfit, mut intrinsics_prior, mut k_source) = (None, None, intrinsics.map(|_| OF_ARM));
         let (intrinsics, pitch_mm, header) = match (stated, header) {
             (Some(Ok(k)), _) => {
@@ -117,8 +118,8 @@ impl PoseJob {
             }
             (None, None) => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
         };
-        // K is known after all.
-        let unfit = unfit.filter(|_| k_source.is_none());
+        // Where the session states K, it is known after all.
+        let unfit = off_header.or(unfit.filter(|_| k_source.is_none()));
         let bound = Bound { frame, ..bound };
         Self {
             bound,

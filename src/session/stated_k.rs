@@ -1,7 +1,12 @@
 //! K that a session states, as it holds for one of its frames.
 
+use crate::acquire::Frame;
 use crate::geometry::{ConsoleGeometry, Intrinsics};
-use crate::pose::{IntrinsicsFile, IntrinsicsPrior, whole_binning};
+use crate::pose::{IntrinsicsFile, IntrinsicsPrior, intrinsics_of, whole_binning};
+
+/// K and a frame's header differ from here on, as in `register`: a share of the focal length, and K's own standard deviations.
+const OFF_HEADER: f64 = 0.03;
+const OFF_SIGMAS: f64 = 3.0;
 
 /// K of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,6 +19,24 @@ pub struct StatedK {
     pub pitch_mm: Option<f64>,
     /// So many pixels of the panel each way were averaged into one, though no console says so.
     pub binning: u32,
+}
+
+impl StatedK {
+    /// That the frame's header has another focal length, where it has one: the detector may stand elsewhere than when K was measured.
+    pub(super) fn off_header(&self, frame: &Frame) -> Option<String> {
+        let (header, ..) = intrinsics_of(frame)?;
+        let sigma_px = self.prior.map_or(0.0, |prior| prior.focal_sigma_px);
+        let off = self.intrinsics.fx / header.fx - 1.0;
+        (!(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx))).then(|| {
+            format!(
+                "the frame's own header says a focal length of {:.0} px, K of the session is {:.1} % {}: one of the two is not this panel's at \
+                 this distance, and depth goes wrong by as much",
+                header.fx,
+                100.0 * off.abs(),
+                if off > 0.0 { "longer" } else { "shorter" }
+            )
+        })
+    }
 }
 
 /// K of the frame called `name`, which was stored with `stored_px` columns and rows.
@@ -57,6 +80,8 @@ pub(super) fn stated_k(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::acquire::Domain;
+    use crate::image::Image;
 
     fn file() -> IntrinsicsFile {
         let json = r#"{"intrinsics": [[2600, 0, 309.5], [0, 2600, 239.5], [0, 0, 1]], "size_px": [620, 480], "pitch_mm": 0.4}"#;
@@ -80,5 +105,20 @@ mod tests {
         assert!(k(Some(&console), [620, 480]).is_err(), "it is cropped");
         let sized = IntrinsicsFile { size_px: None, ..file() };
         assert!(stated_k(&sized, None, [600, 470], "f").is_ok(), "nobody says for which size");
+    }
+
+    #[test]
+    fn a_detector_that_stands_elsewhere_by_the_header_is_told() {
+        let told = |sid_mm: Option<f64>, prior: Option<IntrinsicsPrior>| {
+            let mut frame = Frame::from_pixels("f", Image::filled(62, 48, 1.0f32), Domain::Linear).expect("a frame");
+            (frame.tags.sid_mm, frame.tags.pitch_mm) = (sid_mm, Some([0.4; 2]));
+            let k = stated_k(&file(), None, [620, 480], "f").expect("its own size");
+            StatedK { prior, ..k }.off_header(&frame)
+        };
+        assert_eq!((told(None, None), told(Some(1040.0), None), told(Some(1060.0), None)), (None, None, None));
+        let words = told(Some(1000.0), None).unwrap_or_default();
+        assert!(words.contains("2500 px") && words.contains("4.0 % longer"), "{words}");
+        let unsure = IntrinsicsPrior { mean: file().intrinsics, focal_sigma_px: 40.0, centre_sigma_px: [5.0; 2] };
+        assert_eq!(told(Some(1000.0), Some(unsure)), None, "as stated");
     }
 }

@@ -63,7 +63,7 @@ fn irregular() -> Vec<f64> {
     (0..EXPOSURES).map(next).collect()
 }
 
-/// Twenty-two of forty, shuffled by name, the console four and a half minutes off and drifting, stamps of whole seconds, the counter stuck
+/// Twenty-two of forty in the folders of a medium, of which nobody read a file, shuffled by name, the console four and a half minutes off and drifting, stamps of whole seconds, the counter stuck
 /// at 1, and no frame in the log from which its clock could be learnt.
 #[test]
 fn a_folder_exported_afterwards_is_tied_to_the_logs_exposures() {
@@ -77,8 +77,14 @@ fn a_folder_exported_afterwards_is_tied_to_the_logs_exposures() {
     let mut draw = Draw::new(78, 1);
     draw.shuffle(&mut chosen);
     chosen.truncate(22);
+    let studies = [0, 1].map(|study| exported.join(format!("DICOM/STUDY{study}")));
+    studies.iter().for_each(|study| std::fs::create_dir_all(study).expect("folders"));
     for (place, index) in chosen.iter().enumerate() {
-        export(&exported, &format!("img{place:03}.dcm"), starts_s[*index], 271.3, place as u16);
+        export(&studies[place / 11], &format!("img{place:03}.dcm"), starts_s[*index], 271.3, place as u16);
+    }
+    // No pictures: read, they would be damaged ones.
+    for path in [exported.join("DICOMDIR"), studies[1].join(".img.dcm")] {
+        std::fs::write(path, [&[0; 128][..], b"DICM"].concat()).expect("written");
     }
     let out = folder.path().join("bindings.json");
     let (code, json, words) = attach(&log, &exported, &["--out", &out.display().to_string()]);
@@ -98,6 +104,10 @@ fn a_folder_exported_afterwards_is_tied_to_the_logs_exposures() {
             assert!(off_us.abs() < 21_000.0, "end {end} is {off_us} µs off: {frame:#}");
         }
     }
+    let without = json["exposures_without_frame"].as_array().expect("a list");
+    let label = |index: usize| Value::from(format!("exposure #{} of the session", index + 1));
+    let has_none = |index: &usize| !chosen.contains(index);
+    assert_eq!(*without, (0..EXPOSURES).filter(has_none).map(label).collect::<Vec<_>>());
     let offset_s = json["console"]["offset_us"].as_f64().expect("the clock is known") * 1e-6;
     assert!((offset_s - 271.3).abs() < 1.0, "{offset_s}");
     assert_eq!(serde_json::from_slice::<Value>(&std::fs::read(&out).expect("written")).expect("JSON"), json);

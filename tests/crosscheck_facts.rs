@@ -6,6 +6,7 @@ use glam::{DQuat, DVec3};
 use sidecarm::acquire::{Domain, Frame};
 use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid};
 use sidecarm::image::Image;
+use sidecarm::pose::IntrinsicsFile;
 use sidecarm::report::Innovation;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{self, Scene};
@@ -122,6 +123,7 @@ fn the_innovation_is_telemetry_minus_beads_at_the_centroid() {
 #[test]
 fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
     assert_eq!(exposure(|_, _, _, _| ()), Vec::new());
+    assert_eq!(with(|_, setup| setup.intrinsics = stated(2600.0, [620, 480], 0.388)), Vec::<String>::new());
     type Change = fn(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64);
     let cases: [(&str, Change, &[&str]); 13] = [
         ("frame size", |f, _, _, _| f.size_px = [31, 24], &["31 x 24", "62 x 48", "binned 2 x 2"]),
@@ -227,6 +229,11 @@ fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
     assert_eq!(reporter.warnings().values().map(|warning| warning.count).sum::<u64>(), 2, "{said}");
 }
 
+fn stated(f_px: f64, size_px: [u32; 2], pitch_mm: f64) -> Option<IntrinsicsFile> {
+    let k = [[f_px, 0.0, 309.5], [0.0, f_px, 239.5], [0.0, 0.0, 1.0]];
+    serde_json::from_value(serde_json::json!({"intrinsics": k, "size_px": size_px, "pitch_mm": pitch_mm})).ok()
+}
+
 #[test]
 fn implausible_calibrations_and_rooms_are_named_and_plausible_ones_pass() {
     let with = |change: fn(&mut CarmCalibration, &mut Setup)| {
@@ -247,7 +254,10 @@ fn implausible_calibrations_and_rooms_are_named_and_plausible_ones_pass() {
         Vec::<String>::new()
     );
     type Change = fn(&mut CarmCalibration, &mut Setup);
-    let cases: [(Change, &str); 6] = [
+    let cases: [(Change, &str); 9] = [
+        (|_, setup| setup.intrinsics = stated(5000.0, [620, 480], 0.2), "that of the intrinsics 0.2 mm"),
+        (|_, setup| setup.intrinsics = stated(260.0, [620, 480], 0.388), "fx times pitch_mm is 100"),
+        (|_, setup| setup.intrinsics = stated(2600.0, [640, 480], 0.388), "they are for 640 x 480 px"),
         (|carm, _| carm.source_to_detector_mm = Some(1.02), "source_to_detector_mm is 1.02 mm"),
         (|carm, _| carm.source_to_isocentre_mm = 63.0, "centimetres"),
         (|carm, _| carm.source_to_isocentre_mm = 1100.0, "not behind the isocentre"),

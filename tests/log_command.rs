@@ -268,6 +268,27 @@ fn tables_hold_what_the_log_holds() {
             "{bound:?}"
         );
     }
+    let poses = table(&out.join("poses.csv"));
+    assert_eq!(poses.len(), frames.len());
+    let mut solved = 0;
+    for (row, frame) in poses.iter().zip(frames) {
+        assert!(row["frame"] == frame["number"].to_string() && row["label"] == frame["label"], "{row:?} {frame}");
+        let Some(pose) = frame["pose"].as_object().filter(|pose| pose["accepted"] == true) else { continue };
+        let bound = exposures.iter().find(|exposure| exposure["number"] == row["exposure"]).expect("an exposure");
+        let turned = number(row, "orbital_deg") - number(bound, "orbital_deg");
+        assert!(row["pose_source"] == "beads" && row["rms_px"] == pose["rms_px"].to_string() && turned.abs() < 1e-9, "{row:?}");
+        assert!(row["status"].starts_with("accepted") && !row["intrinsics_source"].is_empty(), "{row:?}");
+        // P = K camera_from_lps, row by row.
+        for column in 0..4 {
+            let [x, y, z] = [0, 1, 2].map(|line| number(row, &format!("camera_from_lps_{line}{column}")));
+            let [u, v, w] = [0, 1, 2].map(|line| number(row, &format!("p{line}{column}")));
+            let (in_u, in_v) =
+                (number(row, "fx_px") * x + number(row, "cx_px") * z, number(row, "fy_px") * y + number(row, "cy_px") * z);
+            assert!((u - in_u).abs() < 1e-3 && (v - in_v).abs() < 1e-3 && (w - z).abs() < 1e-6, "{column}: {row:?}");
+        }
+        solved += 1;
+    }
+    assert!(solved > 0, "{poses:?}");
     let beads = table(&out.join("beads.csv"));
     assert!(beads.len() >= 6 * frames.len(), "{}", beads.len());
     let used: Vec<_> = beads.iter().filter(|row| row["used"] == "1").collect();
@@ -278,6 +299,12 @@ fn tables_hold_what_the_log_holds() {
     }
     let scores = table(&out.join("scores.csv"));
     assert_eq!(scores.len(), frames.len());
+    for row in scores.iter().chain(&beads) {
+        assert!(
+            frames.iter().any(|frame| row["frame"] == frame["number"].to_string() && row["label"] == frame["label"]),
+            "{row:?}"
+        );
+    }
     let accepted: Vec<_> = scores.iter().filter(|row| row["status"] == "accepted").collect();
     assert!(
         accepted.iter().any(|row| number(row, "gradient_ncc") > 0.5 && number(row, "gradient_ncc_null_margin") > 0.0),

@@ -296,6 +296,7 @@ mod session_header;
 mod session_runs;
 mod session_said;
 mod session_stalls;
+mod session_stated_k;
 mod session_terminal;
 mod session_unplugged;
 mod session_video;

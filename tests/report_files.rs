@@ -234,7 +234,12 @@ fn a_session_becomes_one_page_without_outside_resources() {
 
 #[test]
 fn an_empty_session_and_a_missing_strip_still_make_a_page() {
-    assert!(report_page(&SessionReport::default()).contains("nothing was lost"));
+    let page = report_page(&SessionReport::default());
+    assert!(page.contains("nothing was lost"));
+    // Losses are read first.
+    let places = ["Losses", "Warnings", "Contact sheet", "Exposures", "Not modelled", "Provenance"]
+        .map(|name| page.find(&format!("<h2>{name}</h2>")));
+    assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?}");
     let mut pair = Pair::unmatched("frame_001", "no telemetry");
     pair.strip = Some("strips/001.png".into());
     let page = report_page(&SessionReport { pairs: vec![pair], ..SessionReport::default() });

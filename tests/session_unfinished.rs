@@ -17,6 +17,7 @@ use sidecarm::image::{Image, sha256_bytes, write_tiff_f32};
 use crate::acquire_watch::age;
 use crate::calibrate_session::write_png16;
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, quiet_lab};
+use crate::session_names::replay_words;
 
 /// How a frame gets into the watched folder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,6 +93,12 @@ fn what_is_being_written_at_the_end_is_waited_for_or_said() {
         assert!(live.stdout().contains("lost: "), "{words}");
         assert_eq!(live.report().contains("the file "), !completes, "{words}");
         assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
+        // No replay can miss a file of which it has nothing: it said that nothing was lost.
+        let again = folder.path().join("again");
+        let words = replay_words(&live.log, &again);
+        let report = std::fs::read_to_string(again.join("report.html")).expect("a report");
+        let is_told = words.lines().any(|line| line.contains("lost in the session: ") && line.contains("the file "));
+        assert_eq!((is_told, report.contains("the file ")), (!completes, !completes), "{words}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::label;
 use super::spool::INCOMING;
@@ -24,6 +24,36 @@ fn may_be_hidden(name: &OsStr) -> bool {
 /// Whether a person should hear of it: folders are ordinary, unless named like an image.
 pub(super) fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
     kind != NotRegular::Folder || label::looks_like_an_image(Path::new(name))
+}
+
+/// The files in `folder` and in those below it, by path, without what a watch passes over for its name; and why folders below could not be listed.
+/// Links are not followed. The directory of a medium (`DICOMDIR`) is no picture.
+///
+/// # Errors
+/// When `folder` itself cannot be listed.
+pub fn files_below(folder: &Path) -> std::io::Result<(Vec<PathBuf>, Vec<std::io::Error>)> {
+    let (mut files, mut unlisted) = (Vec::new(), Vec::new());
+    let mut entries: Vec<_> = std::fs::read_dir(folder)?.collect();
+    while let Some(entry) = entries.pop() {
+        let entry = match entry.and_then(|entry| Ok((entry.file_type()?, entry))) {
+            Ok((kind, entry)) if is_wanted(&entry.file_name()) => (kind, entry),
+            Ok(_) => continue,
+            Err(error) => {
+                unlisted.push(error);
+                continue;
+            }
+        };
+        match entry {
+            (kind, entry) if kind.is_dir() => match std::fs::read_dir(entry.path()) {
+                Ok(below) => entries.extend(below),
+                Err(error) => unlisted.push(error),
+            },
+            (kind, entry) if kind.is_file() && !entry.file_name().eq_ignore_ascii_case("DICOMDIR") => files.push(entry.path()),
+            _ => {}
+        }
+    }
+    files.sort();
+    Ok((files, unlisted))
 }
 
 /// What lies in a folder, by name.

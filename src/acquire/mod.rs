@@ -62,6 +62,7 @@ pub use domain::Domain;
 pub use error::{AcquireError, Fault};
 pub use flood::exposure_mas;
 pub use label::{hashed_input_label, input_label};
+pub use listing::files_below;
 pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, read_photo, serve};
 pub use received::ReceivedSource;

@@ -13,7 +13,7 @@ use crate::session::attach::{AttachError, AttachReport, Attached, attach};
 pub struct AttachArgs {
     /// The session's log.
     pub log: PathBuf,
-    /// Frames, or folders of frames.
+    /// Frames, or folders of frames, which are read with the folders below them.
     #[arg(required = true)]
     pub frames: Vec<PathBuf>,
     /// Write the bindings (exposure, times, joints, evidence of each frame) to this JSON file.
@@ -23,6 +23,9 @@ pub struct AttachArgs {
     #[arg(long)]
     pub json: bool,
 }
+
+/// So many exposures without a frame are named; the JSON has all.
+const NAMED: usize = 20;
 
 /// Why the command failed.
 #[derive(Debug, thiserror::Error)]
@@ -49,7 +52,7 @@ pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandEr
     if let Some(out) = &args.out {
         let same = |input: &PathBuf| std::fs::canonicalize(input).ok() == std::fs::canonicalize(out).ok();
         let inside =
-            |input: &PathBuf| input.is_dir() && out.exists() && out.parent().is_some_and(|folder| same_folder(folder, input));
+            |input: &PathBuf| input.is_dir() && out.exists() && out.parent().is_some_and(|folder| is_within(folder, input));
         if out.exists() && (same(&args.log) || args.frames.iter().any(|input| same(input) || inside(input))) {
             return Err(AttachCommandError::Overwrites { path: out.clone() });
         }
@@ -67,9 +70,10 @@ pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandEr
     Ok(if report.bound() == report.frames.len() && report.losses.is_empty() { 0 } else { 3 })
 }
 
-fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {
-    let a = if a.as_os_str().is_empty() { std::path::Path::new(".") } else { a };
-    matches!((std::fs::canonicalize(a), std::fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
+/// Whether `folder` is `root` or lies below it.
+fn is_within(folder: &std::path::Path, root: &std::path::Path) -> bool {
+    let folder = if folder.as_os_str().is_empty() { std::path::Path::new(".") } else { folder };
+    matches!((std::fs::canonicalize(folder), std::fs::canonicalize(root)), (Ok(folder), Ok(root)) if folder.starts_with(&root))
 }
 
 fn table(report: &AttachReport) {
@@ -97,6 +101,12 @@ fn table(report: &AttachReport) {
         println!("lost: {loss}");
     }
     println!("{} of {} frames tied", report.bound(), report.frames.len());
+    let without = &report.exposures_without_frame;
+    if !without.is_empty() {
+        let more = if without.len() > NAMED { ", …" } else { "" };
+        let named = without.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+        println!("{} of {} exposures still have no frame ({named}{more})", without.len(), report.exposures);
+    }
 }
 
 fn row(frame: &Attached) -> String {

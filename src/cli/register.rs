@@ -73,6 +73,9 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     if let Some(words) = seen.off_header(&pose) {
         pose.doubt(words);
     }
+    if let Some(words) = pose.solved_k() {
+        pose.cautions.push(format!("{words}, and depth is as uncertain as f is: give --intrinsics"));
+    }
     pose.hear_header(&seen.frame, intensifier.is_some());
     given.pass_doubt_on(0, &mut pose);
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));

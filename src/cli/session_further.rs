@@ -9,6 +9,7 @@ use crate::acquire::{DetectorCalibration, Domain};
 use crate::beads::parse_landmarks;
 use crate::foreign::read_small;
 use crate::geometry::{ConsoleGeometry, IntensifierCalibration, Rigid};
+use crate::pose::IntrinsicsFile;
 use crate::session::servers::{DicomServer, IgtlServer};
 
 /// Its options; what they do not say is asked.
@@ -26,6 +27,9 @@ pub(super) struct FurtherArgs {
     /// What the console does to the panel's picture: degrees clockwise, a file with the keys of "console", or none
     #[arg(long, value_name = "DEG|FILE")]
     pub console: Option<String>,
+    /// K of the frames (as `register --intrinsics`), or none: from their headers, else solved from the beads; asked without a C-arm
+    #[arg(long, value_name = "K.json")]
+    pub intrinsics: Option<String>,
     /// What is asked besides, of sub-folders, video, landmarks, detector, intensifier and room, or none
     #[arg(long, value_name = "NAMES")]
     pub more: Option<String>,
@@ -55,6 +59,7 @@ pub(super) struct Further {
     pub dicom: Option<DicomServer>,
     pub igtl: Option<IgtlServer>,
     pub console: Option<ConsoleGeometry>,
+    pub intrinsics: Option<PathBuf>,
     pub sub_folders: bool,
     pub video: Option<VideoSettings>,
     pub landmarks: Option<PathBuf>,
@@ -66,10 +71,14 @@ pub(super) struct Further {
 /// What is asked where a lab has it: the words of `--more`.
 const TOPICS: [&str; 6] = ["sub-folders", "video", "landmarks", "detector", "intensifier", "room"];
 
+/// Asked of whoever has no C-arm line, without being named.
+const K: &str = "K";
+
 impl Further {
-    /// `named` is a file as the session names it.
+    /// `has_carm`: a calibrated arm tells K. `named` is a file as the session names it.
     pub fn ask<R: BufRead, W: Write>(
         args: &FurtherArgs,
+        has_carm: bool,
         asker: &mut Asker<R, W>,
         named: &dyn Fn(&Path) -> PathBuf,
     ) -> Result<Self, SessionNewError> {
@@ -99,6 +108,13 @@ impl Further {
         let words = format!("What else there is, of {}, or {NONE}", TOPICS.join(", "));
         let topics = asker.ask(&question("--more", &args.more, &words, NONE), &topics)?;
         let mut about = About { asker, topics, named };
+        if !has_carm {
+            about.topics.push(K);
+        }
+        let words = "K of the frames (k.json; else that of their headers)";
+        let intrinsics = about.file(K, "--intrinsics", &args.intrinsics, words, &|path| {
+            IntrinsicsFile::read(path).map(drop).map_err(|error| error.to_string())
+        })?;
         let words = "Watch the folders below that of the frames as well: yes or no";
         let sub_folders =
             about.ask("sub-folders", &question("--sub-folders", &args.sub_folders, words, "no"), &|answer| match answer {
@@ -126,6 +142,7 @@ impl Further {
             dicom: dicom.map(DicomServer::on_port),
             igtl: igtl.map(IgtlServer::on_port),
             console,
+            intrinsics,
             sub_folders: sub_folders.is_some(),
             video,
             landmarks,
@@ -196,7 +213,7 @@ fn video(answer: &str) -> Result<Option<VideoSettings>, String> {
     if !is_number && !path.exists() {
         return Err(format!("'{answer}' is neither a capture device nor a video file; plug it in, or name its number"));
     }
-    // A session is started from any folder, and a video file is not looked for beside it.
+    // A session that is moved still finds it.
     let from = if path.is_file() { std::path::absolute(path).unwrap_or_else(|_| path.to_owned()) } else { path.to_owned() };
     Ok(Some(VideoSettings::of(&from.to_string_lossy())))
 }
@@ -223,7 +240,7 @@ mod tests {
     fn asked(args: &FurtherArgs, lines: &[&str]) -> (Result<Further, SessionNewError>, String) {
         let answers = lines.iter().map(|line| format!("{line}\n")).collect::<String>();
         let mut asker = Asker { answers: answers.as_bytes(), screen: Vec::new() };
-        let found = Further::ask(args, &mut asker, &|path| PathBuf::from(path.file_name().unwrap_or_default()));
+        let found = Further::ask(args, true, &mut asker, &|path| PathBuf::from(path.file_name().unwrap_or_default()));
         (found, String::from_utf8(asker.screen).expect("text"))
     }
 
@@ -286,6 +303,7 @@ mod tests {
             ("--sub-folders", FurtherArgs { sub_folders: given("1"), ..FurtherArgs::default() }),
             ("--video", FurtherArgs { video: given("/dev/nothing"), ..FurtherArgs::default() }),
             ("--landmarks", FurtherArgs { landmarks: given("nowhere.fcsv"), ..FurtherArgs::default() }),
+            ("--intrinsics", FurtherArgs { intrinsics: given("nowhere.json"), ..FurtherArgs::default() }),
             ("--detector", FurtherArgs { detector: given("nowhere.json"), ..FurtherArgs::default() }),
             ("--intensifier", FurtherArgs { intensifier: given("nowhere.json"), ..FurtherArgs::default() }),
             ("--world-from-lps", FurtherArgs { world_from_lps: given("nowhere.json"), ..FurtherArgs::default() }),
@@ -294,6 +312,6 @@ mod tests {
             assert!(refused.starts_with(&format!("{option} ")), "{option}: {refused}");
             cases += 1;
         }
-        assert_eq!(cases, 7);
+        assert_eq!(cases, 8);
     }
 }

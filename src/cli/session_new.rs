@@ -176,7 +176,7 @@ fn answered<R: BufRead, W: Write>(
         parse_markups(path, &content).map_err(|error| error.to_string())?;
         Ok(Some(named(path)))
     })?;
-    let further = Further::ask(&args.further, asker, &named)?;
+    let further = Further::ask(&args.further, carm.is_some(), asker, &named)?;
     let session = SessionFile {
         carm: carm.map(|Line { port, calibration, adapter }| CarmLine {
             port,
@@ -211,6 +211,7 @@ fn answered<R: BufRead, W: Write>(
         console: further.console,
         detector: further.detector,
         intensifier: further.intensifier,
+        intrinsics: further.intrinsics,
         tags: None,
         igtl: further.igtl,
     };
@@ -278,6 +279,7 @@ mod tests {
             assert!(screen.contains(words), "{words}: {screen}");
         }
         assert_eq!(screen.matches("Port of the ").count(), 2);
+        assert!(!screen.contains("K of the frames"), "the arm's calibration has it: {screen}");
         let carm = found.carm.expect("a C-arm");
         assert_eq!(
             (carm.port.as_path(), carm.calibration.as_path(), carm.baud),
@@ -295,6 +297,7 @@ mod tests {
         (given.robot_model, given.scene, given.beads) =
             (Some("nominal".to_owned()), Some(at("scene.json")), Some(NONE.to_owned()));
         given.robot_adapter = Some(robot_lines);
+        std::fs::write(at("k.json"), r#"{"intrinsics": [[2600, 0, 309.5], [0, 2600, 239.5], [0, 0, 1]]}"#).expect("written");
         let mut silent = Asker { answers: &b""[..], screen: Vec::new() };
         let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing that needs an answer");
         let asked = String::from_utf8(std::mem::take(&mut silent.screen)).expect("text");
@@ -304,6 +307,10 @@ mod tests {
         assert!(found.carm.is_none() && robot.baud == 115_200);
         assert!(robot.adapter.is_some_and(|file| file.ends_with("calibration/telemetry/generic-robot-csv.json")));
         assert!(parse_json::<RobotModel>(files[0].1.as_bytes()).is_ok());
+        assert!(asked.contains("K of the frames") && found.intrinsics.is_none(), "no arm tells K: {asked}");
+        given.further.intrinsics = Some(at("k.json"));
+        let (found, _) = answered(&given, Vec::new(), &mut silent).expect("nothing that needs an answer");
+        assert_eq!(found.intrinsics.as_deref(), Some(Path::new("k.json")));
         given.frames = Some(at("nothing"));
         let refused = answered(&given, Vec::new(), &mut silent).expect_err("no folder").to_string();
         assert!(refused.starts_with("--frames ") && refused.contains("is no folder"), "{refused}");

@@ -334,6 +334,14 @@ impl Pose {
         ))
     }
 
+    /// K that the beads alone told, in words; `None` where it was given or stated, or nothing was accepted.
+    #[must_use]
+    pub fn solved_k(&self) -> Option<String> {
+        let (k, _) = self.camera().filter(|_| self.intrinsics_source.as_deref() == Some("solved"))?;
+        let sigma = self.intrinsics_sigma_px.map_or(String::new(), |[sigma_px, ..]| format!(" ± {sigma_px:.0}"));
+        Some(format!("K solved from the beads (f {:.0}{sigma} px)", k.fx))
+    }
+
     /// Reads a file.
     ///
     /// # Errors

@@ -123,6 +123,9 @@ pub enum Refusal {
     /// What the image intensifier did to the frame is not known.
     #[error("distortion: {detail}")]
     Distortion { detail: String },
+    /// K is stated for pictures of another size.
+    #[error("other_size: {detail}")]
+    OtherSize { detail: String },
     /// Hardly anything in the frame.
     #[error(
         "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref())

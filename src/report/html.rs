@@ -38,11 +38,12 @@ pub(super) fn page(report: &SessionReport, strip: &(dyn Fn(&str) -> Option<Vec<u
             body {
                 main {
                     (summary(report, title))
+                    (losses_and_warnings(report))
                     (contact_sheet(report, &strips))
                     (exposures(report))
                     (over_time(report))
                     (each_exposure(report, &strips))
-                    (notes(report))
+                    (list("Not modelled", &report.not_modelled, "nothing stated"))
                     (provenance(report))
                 }
             }
@@ -67,7 +68,11 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 
 fn summary(report: &SessionReport, title: &str) -> Markup {
     let counts = report.counts();
-    let lasted = report.started_us.zip(report.ended_us).map(|(a, b)| format!(" · {:.0} s", (b - a) as f64 * 1e-6));
+    let lasted = report
+        .started_us
+        .zip(report.ended_us)
+        .filter(|(a, b)| b > a)
+        .map(|(a, b)| format!(" · {:.0} s to the last packet", (b - a) as f64 * 1e-6));
     let rms = median(report.pairs.iter().filter_map(|pair| pair.rms_px).collect());
     let zncc = median(report.pairs.iter().filter_map(|pair| pair.scores.zncc).collect());
     let warned: u64 = report.warnings.values().map(|counted| counted.count).sum();
@@ -207,15 +212,15 @@ fn list(heading: &str, lines: &[String], none: &str) -> Markup {
     }
 }
 
-fn notes(report: &SessionReport) -> Markup {
+/// What a reader must know before the exposures.
+fn losses_and_warnings(report: &SessionReport) -> Markup {
     let times = |count: u64| if count == 1 { "once".to_owned() } else { format!("{count} times") };
     let warnings: Vec<String> =
         report.warnings.iter().map(|(kind, told)| format!("{kind}, {}: {}", times(told.count), told.latest)).collect();
     html! {
         div class="two" {
-            (list("Warnings", &warnings, "none"))
             (list("Losses", &report.losses, "nothing was lost"))
-            (list("Not modelled", &report.not_modelled, "nothing stated"))
+            (list("Warnings", &warnings, "none"))
         }
     }
 }

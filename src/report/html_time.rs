@@ -188,7 +188,9 @@ fn of_track(report: &SessionReport, track: &Track, span_s: [f64; 2]) -> Plot {
 fn link_table(report: &SessionReport) -> Markup {
     let names: Vec<&str> =
         report.links.first().map(|link| link.counters.iter().map(|(name, _)| &**name).collect()).unwrap_or_default();
-    let headings: Vec<&str> = ["<link"].into_iter().chain(names.iter().copied()).chain(["gaps"]).collect();
+    // On a page of pictures `frames` would be those.
+    let words = names.iter().map(|name| if *name == "frames" { "packets" } else { *name });
+    let headings: Vec<&str> = ["<link"].into_iter().chain(words).chain(["gaps"]).collect();
     let rows = html! {
         @for link in &report.links {
             tr {
@@ -211,6 +213,19 @@ fn link_table(report: &SessionReport) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn packets_are_not_called_frames() {
+        let link = LinkReport {
+            device: "carm".to_owned(),
+            first_us: None,
+            last_us: None,
+            counters: vec![("frames".to_owned(), 7)],
+            gaps: Vec::new(),
+        };
+        let page = link_table(&SessionReport { links: vec![link], ..SessionReport::default() }).into_string();
+        assert!(page.contains("packets") && !page.contains("frames") && page.contains("<td>7</td>"), "{page}");
+    }
 
     /// The counters of the links were on no page whose plot could not be drawn.
     #[test]

@@ -202,6 +202,9 @@ pub struct Pair {
     pub rms_px: Option<f64>,
     /// The same at the isocentre, mm.
     pub rms_mm: Option<f64>,
+    /// Where K comes from; absent where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k_source: Option<String>,
     /// Beads of the layout, in its order; empty where none were looked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beads: Vec<BeadRow>,
@@ -285,6 +288,7 @@ impl Pair {
             note: None,
             rms_px: None,
             rms_mm: None,
+            k_source: None,
             beads: Vec::new(),
             innovation: None,
             tip: None,

@@ -1,6 +1,6 @@
 //! Frames exported after a session, tied to the exposures that its log recorded. The log is read, never written.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -10,11 +10,11 @@ use super::log::SETUP_TOPIC;
 use super::pictures::{PictureDigest, Pictures};
 use super::records::{RESTART_TOPIC, SEEN_TOPIC, SeenRecord};
 use super::studies::Studies;
-use crate::acquire::{Fault, Frame, read_frames};
+use crate::acquire::{Fault, Frame, files_below, read_frames};
 use crate::record::{FrameAssembler, LogReader, RecordError, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Link};
-use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, ConsoleZone, FrameEvidence, Timeline};
+use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, ConsoleZone, ExposureInterval, FrameEvidence, Timeline};
 
 /// Why nothing could be attached.
 #[derive(Debug, thiserror::Error)]
@@ -73,8 +73,10 @@ pub struct AttachReport {
     pub frames_in_log: usize,
     /// The console's clock as all frames together show it.
     pub console: Option<ConsoleClock>,
-    /// The named frames, in the order in which they were named (folders by file name).
+    /// The named frames, in the order in which they were named (folders by path, with those below them).
     pub frames: Vec<Attached>,
+    /// Exposures of which neither the log nor what was named has a frame.
+    pub exposures_without_frame: Vec<String>,
     /// Files that could not be read, and what the log had lost.
     pub losses: Vec<String>,
 }
@@ -97,7 +99,8 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
     if session.carm_bytes == 0 {
         return Err(AttachError::NoTelemetry { path: log.to_owned() });
     }
-    let files = files(named)?;
+    let (files, unlisted) = files(named)?;
+    session.losses.extend(unlisted);
     let progress = reporter.progress("reading frames", files.len() as u64);
     let mut read: Vec<(u32, Frame, [u32; 2], String)> = Vec::new();
     for (place, file) in files.iter().enumerate() {
@@ -142,11 +145,15 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         image_of_file: *image_of_file,
         binding: session.binding(*number),
     };
+    let exposures = session.timeline.exposures();
+    let shown: BTreeSet<u64> = (1..=session.taken).filter_map(|number| Some(session.binding(number).exposure?.index)).collect();
+    let without = exposures.iter().filter(|exposure| !shown.contains(&exposure.index));
     Ok(AttachReport {
-        exposures: session.timeline.exposures().len(),
+        exposures: exposures.len(),
         frames_in_log: session.frames_in_log as usize,
         console: session.binder.clock(),
         frames: read.iter().map(attached).collect(),
+        exposures_without_frame: without.map(ExposureInterval::label).collect(),
         losses: session.losses,
     })
 }
@@ -161,27 +168,19 @@ fn without_pixels(mut frame: Frame) -> Frame {
     frame
 }
 
-/// Files as named, and those in named folders, by name.
-fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, AttachError> {
-    let mut found = Vec::new();
+/// Files as named, and those in named folders and below them, by path; and what of these could not be listed, without its name.
+fn files(named: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<String>), AttachError> {
+    let (mut found, mut unlisted) = (Vec::new(), Vec::new());
     for path in named {
         if !path.is_dir() {
             found.push(path.clone());
             continue;
         }
-        let failed = |source| AttachError::Folder { path: path.clone(), source };
-        let mut inside = Vec::new();
-        for entry in std::fs::read_dir(path).map_err(failed)? {
-            let entry = entry.map_err(failed)?;
-            // Links, pipes and devices are not followed.
-            if entry.file_type().map_err(failed)?.is_file() {
-                inside.push(entry.path());
-            }
-        }
-        inside.sort();
+        let (inside, errors) = files_below(path).map_err(|source| AttachError::Folder { path: path.clone(), source })?;
         found.extend(inside);
+        unlisted.extend(errors.into_iter().map(|error| format!("a folder below what was named cannot be listed: {error}")));
     }
-    Ok(found)
+    Ok((found, unlisted))
 }
 
 /// A session's timeline and frames, as its log has them.

@@ -401,6 +401,8 @@ fn row(posed: &Posed) -> Pair {
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.beads = posed.pose.beads.iter().map(BeadRow::of).collect();
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
+    let known = posed.k_source.map(str::to_owned).filter(|_| posed.view.is_some());
+    pair.k_source = posed.pose.solved_k().or(known);
     pair.robot_source = Some(match &posed.robot {
         Some(robot) => robot.source.clone(),
         None => "scene".to_owned(),

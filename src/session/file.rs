@@ -5,19 +5,20 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::adapters::{self, Adapters};
+use super::adapters::Adapters;
 use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
+use super::named_files::{adapter_of, beside, check_baud, locate, port_of, read_text, refuse_intensifier, video_of};
 use super::servers::{DicomServer, IgtlServer};
 use crate::acquire::video::VideoSettings;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
-use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
-use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress, PortConfig};
+use crate::pose::IntrinsicsFile;
+use crate::telemetry::{DeviceKind, Link, PortConfig};
 
 /// The C-arm's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -130,6 +131,9 @@ pub struct SessionFile {
     /// The image intensifier: a file of `calibrate intensifier`. K is that of the undistorted picture; DRRs are distorted as the frames are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<PathBuf>,
+    /// K, as `register --intrinsics` reads it, for frames of which no calibrated arm tells it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<PathBuf>,
     /// AprilTags of the specimen, as `register --tags` reads them: they start the search for beads and are checked against it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<PathBuf>,
@@ -189,6 +193,9 @@ pub struct Setup {
     /// The image intensifier's calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<Box<IntensifierCalibration>>,
+    /// K that the session states.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<IntrinsicsFile>,
     /// Text of the tags' file and its name: as text, they come back from a log bit for bit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<(PathBuf, String)>,
@@ -200,63 +207,10 @@ pub struct Setup {
     pub places: BTreeMap<String, PathBuf>,
 }
 
-/// Reads text; the error names the file.
-fn read_text(path: &Path) -> Result<String, SessionFileError> {
-    read_small_text(path).map_err(|source| SessionFileError::Io { path: path.to_owned(), source })
-}
-
-/// Angles of the scene's file would hold for one frame only.
-fn refuse_intensifier(scene: &Path, text: &str) -> Result<(), SessionFileError> {
-    let distorts = |scene: serde_json::Value| scene.pointer("/detector/intensifier").is_some_and(|value| !value.is_null());
-    if !serde_json::from_str(text).is_ok_and(distorts) {
-        return Ok(());
-    }
-    let detail = "in a session the distortion follows the arm: leave it out of the scene and name the calibration in the session, \
-                  \"intensifier\": \"FILE.json\"";
-    Err(SessionFileError::Json { path: scene.to_owned(), place: "detector.intensifier".to_owned(), detail: detail.to_owned() })
-}
-
 /// Parses JSON; the error names file and key.
 pub(super) fn parse<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T, SessionFileError> {
     let json = |JsonFault { place, detail }| SessionFileError::Json { path: path.to_owned(), place, detail };
     parse_json(text.as_bytes()).map_err(json)
-}
-
-/// A path as a session file names it: beside the session file, else in the current folder.
-fn locate(session: &Path, key: &'static str, named: &Path) -> Result<PathBuf, SessionFileError> {
-    let beside = session.parent().unwrap_or(Path::new(".")).join(named);
-    [beside, named.to_owned()].into_iter().find(|path| path.exists()).ok_or_else(|| SessionFileError::Missing {
-        path: session.to_owned(),
-        key,
-        named: named.display().to_string(),
-    })
-}
-
-/// A folder that need not exist yet: relative names are beside the session file.
-fn beside(session: &Path, named: &Path) -> PathBuf {
-    session.parent().unwrap_or(Path::new(".")).join(named)
-}
-
-/// A port that need not be there yet, likewise.
-fn port_of(session: &Path, key: &'static str, named: &Path) -> Result<PathBuf, SessionFileError> {
-    PortAddress::of(named).map_err(|error| SessionFileError::Json {
-        path: session.to_owned(),
-        place: key.to_owned(),
-        detail: error.to_string(),
-    })?;
-    Ok(PortAddress::beside(named, session.parent().unwrap_or(Path::new("."))))
-}
-
-/// The adapter that a line names, if it does; the name becomes that of the file.
-fn adapter_of(
-    session: &Path,
-    key: &'static str,
-    named: &mut Option<PathBuf>,
-    device: DeviceKind,
-) -> Result<Option<LineAdapter>, SessionFileError> {
-    let Some(file) = named else { return Ok(None) };
-    *file = locate(session, key, file)?;
-    adapters::parse(file, &read_text(file)?, device).map(Some)
 }
 
 impl Setup {
@@ -285,6 +239,9 @@ impl Setup {
     pub fn load(path: &Path) -> Result<Self, SessionFileError> {
         let mut session: SessionFile = parse(path, &read_text(path)?)?;
         session.frames.folder = beside(path, &session.frames.folder);
+        if let Some(video) = &mut session.frames.video {
+            video.from = video_of(path, &video.from);
+        }
         for (key, rows) in [("world_from_lps", session.world_from_lps), ("world_from_tracker", session.world_from_tracker)] {
             if let Some(Err(error)) = rows.map(|rows| Rigid::from_rows(&rows)) {
                 return Err(SessionFileError::Json { path: path.to_owned(), place: key.to_owned(), detail: error.to_string() });
@@ -327,7 +284,7 @@ impl Setup {
         };
         let scene_path = session.scene.clone();
         let (inputs, places) = Default::default();
-        let (landmarks, detector, intensifier, tags) = (None, None, None, None);
+        let (landmarks, detector, intensifier, intrinsics, tags) = (None, None, None, None, None);
         let mut setup = Self {
             session,
             carm,
@@ -339,6 +296,7 @@ impl Setup {
             landmarks,
             detector,
             intensifier,
+            intrinsics,
             tags,
             inputs,
             places,
@@ -408,6 +366,11 @@ impl Setup {
             self.intensifier = Some(Box::new(calibration));
             session.intensifier = Some(found);
         }
+        if let Some(named) = &session.intrinsics {
+            let found = locate(path, "intrinsics", named)?;
+            self.intrinsics = Some(IntrinsicsFile::read(&found).map_err(|error| place("intrinsics", error.to_string()))?);
+            session.intrinsics = Some(found);
+        }
         if let Some(named) = &session.tags {
             let found = locate(path, "tags", named)?;
             let text = read_text(&found)?;
@@ -470,16 +433,4 @@ impl Setup {
         let parsed = self.landmarks.as_ref().and_then(|(path, text)| parse_landmarks(path, text.as_bytes()).ok());
         parsed.unwrap_or_default()
     }
-}
-
-fn check_baud(path: &Path, key: &'static str, baud: u32) -> Result<(), SessionFileError> {
-    if (1200..=12_000_000).contains(&baud) {
-        return Ok(());
-    }
-    Err(SessionFileError::Value {
-        path: path.to_owned(),
-        key,
-        found: baud.to_string(),
-        expected: "between 1200 and 12000000 bits per second",
-    })
 }

@@ -4,9 +4,10 @@
 use std::sync::Arc;
 
 use super::file::Setup;
+use super::stated_k::{StatedK, stated_k};
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{CarmCalibration, ConsoleGeometry, PanelWindow};
-use crate::pose::whole_binning;
+use crate::pose::{IntrinsicsFile, whole_binning};
 use crate::telemetry::CarmSample;
 
 /// What a session knows about its console and panel.
@@ -15,6 +16,7 @@ pub struct Import {
     carm: Option<CarmCalibration>,
     console: Option<ConsoleGeometry>,
     detector: Option<Box<DetectorCalibration>>,
+    intrinsics: Option<IntrinsicsFile>,
 }
 
 /// A frame ready to be registered.
@@ -26,6 +28,8 @@ pub struct Imported {
     pub carm: Option<CarmCalibration>,
     /// Why a pose of the frame may be wrong however well it fits: its size is not that of the calibration, and K with it is not known.
     pub doubt: Option<String>,
+    /// K that the session states, as it holds for this frame, or why it does not; `None` where it states none.
+    pub stated: Option<Result<StatedK, String>>,
     /// Kind and sentence of what a person must know.
     pub warnings: Vec<(&'static str, String)>,
 }
@@ -41,7 +45,8 @@ impl Import {
     /// For the frames of a session.
     #[must_use]
     pub fn of(setup: &Setup) -> Self {
-        Self { carm: setup.carm.clone(), console: setup.session.console.clone(), detector: setup.detector.clone() }
+        let (console, detector) = (setup.session.console.clone(), setup.detector.clone());
+        Self { carm: setup.carm.clone(), console, detector, intrinsics: setup.intrinsics }
     }
 
     /// Imports one frame; `told` is what telemetry says of its exposure, where it is bound to one.
@@ -53,7 +58,8 @@ impl Import {
         let Fitted { console, carm, doubt } = self.fitted(read, stored_px, &mut warnings);
         let mut frame = Arc::clone(read);
         if let Some(console) = &console {
-            frame = Arc::new(frame.oriented(console, self.carm.as_ref().map(|carm| [carm.columns_px, carm.rows_px])));
+            let of_carm = self.carm.as_ref().map(|carm| [carm.columns_px, carm.rows_px]);
+            frame = Arc::new(frame.oriented(console, of_carm.or(self.intrinsics.and_then(|file| file.size_px))));
         }
         if let Some(detector) = &self.detector {
             let window = console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(stored_px));
@@ -66,7 +72,8 @@ impl Import {
                 Err(reason) => warnings.push(("detector calibration", format!("{}: {reason}", read.name))),
             }
         }
-        Imported { frame, carm, doubt, warnings }
+        let stated = self.intrinsics.map(|file| stated_k(&file, self.console.as_ref(), stored_px, &read.name));
+        Imported { frame, carm, doubt, stated, warnings }
     }
 
     /// The console as declared; where none is, a frame whose size is a whole binning of the calibration's is taken for that.
@@ -127,7 +134,7 @@ mod tests {
     }
 
     fn imported([columns, rows]: [usize; 2]) -> Imported {
-        let import = Import { carm: Some(carm()), console: None, detector: None };
+        let import = Import { carm: Some(carm()), console: None, detector: None, intrinsics: None };
         let frame = Frame::from_pixels("f", Image::filled(columns, rows, 1.0f32), Domain::Linear).expect("a frame");
         import.frame(&Arc::new(frame), None)
     }
@@ -171,7 +178,7 @@ mod tests {
             serde_json::from_value(serde_json::json!({"origin": "test", "columns_px": 620, "rows_px": 480})).expect("a record");
         record.beams = vec![beam(70.0, "none", 1.0), beam(90.0, "none", 2.0), beam(90.0, "copper=0.2", 3.0)];
         let detector = Some(Box::new(DetectorCalibration { record, maps: Default::default() }));
-        let import = Import { carm: None, console: None, detector };
+        let import = Import { carm: None, console: None, detector, intrinsics: None };
         let frame = Frame::from_pixels("f", Image::filled(620, 480, 1.0f32), Domain::Linear).expect("a frame");
         let frame = Arc::new(frame);
         let by = |told: Option<CarmSample>| {

@@ -43,6 +43,7 @@ impl InputNames {
             (session.robot.as_ref().and_then(|line| line.adapter.as_ref()), "robot-lines"),
             (session.detector.as_ref(), "detector"),
             (session.intensifier.as_ref(), "intensifier"),
+            (session.intrinsics.as_ref(), "intrinsics"),
         ];
         let calibrations =
             calibrations.into_iter().filter_map(|(file, role)| file.map(|path| (path.as_path(), told(path, role))));
@@ -156,6 +157,7 @@ impl InputNames {
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));
         session.intensifier = session.intensifier.as_deref().map(|path| told(path, "intensifier"));
+        session.intrinsics = session.intrinsics.as_deref().map(|path| told(path, "intrinsics"));
         session.tags = session.tags.as_deref().map(|path| told(path, "tags"));
         for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks"), (&mut kept.tags, "tags")] {
             if let Some((path, _)) = file {

@@ -142,7 +142,7 @@ impl FrameIntake {
     /// What came into a folder that is not there at the end was not seen.
     fn tell_lost_folder(&self) {
         if self.is_folder_lost {
-            self.log.lose("the frame folder was not there at the end: attach what came into it meanwhile".to_owned());
+            self.log.lose_for_good("the frame folder was not there at the end: attach what came into it meanwhile".to_owned());
         }
     }
 
@@ -171,8 +171,8 @@ impl FrameIntake {
     }
 
     fn refuse(&mut self, number: u32, words: &str) {
-        self.log.lose(words.to_owned());
-        self.say("unreadable frame", &format!("{words}; the file is left where it is"));
+        self.log.lose_for_good(words.to_owned());
+        self.reporter.warn("unreadable frame", format!("{words}; the file is left where it is"));
         self.give_back(number);
     }
 
@@ -195,8 +195,8 @@ impl FrameIntake {
         match sighting {
             Sighting::Ready(arrival) => return Some(arrival),
             Sighting::Trouble(trouble) => {
-                self.log.lose(trouble.to_string());
-                self.say(trouble.kind(), &trouble.to_string());
+                self.log.lose_for_good(trouble.to_string());
+                self.reporter.warn(trouble.kind(), trouble.to_string());
             }
             Sighting::FolderLost { detail } => {
                 let words = format!("the frame folder cannot be listed ({detail}); check that it is there and mounted");
@@ -288,9 +288,7 @@ impl FrameIntake {
     /// What was said to be lost of a file has come with it after all.
     fn take_back(&self, trouble: &Trouble) {
         if self.log.take_back(&trouble.to_string()) {
-            let words = trouble.mended();
-            self.log.event(Level::Info, host_now_us(), &words);
-            self.reporter.mend(trouble.kind(), words);
+            self.reporter.mend(trouble.kind(), trouble.mended());
         }
     }
 

@@ -16,7 +16,7 @@ use super::event::Event;
 use super::file::Setup;
 use super::input::Input;
 use super::inputs::InputNames;
-use super::losses::Losses;
+use super::losses::{Losses, came, lost};
 use super::posed::Posed;
 use super::workshop::Workshop;
 use crate::geometry::Distortion;
@@ -152,9 +152,19 @@ impl SessionLog {
         self.losses.lock().unwrap_or_else(PoisonError::into_inner).add(what);
     }
 
-    /// It is not lost after all; false where nobody said that it was.
+    /// Something is lost that no replay brings back or misses: the log tells of it.
+    pub(super) fn lose_for_good(&self, what: String) {
+        self.event(Level::Error, host_now_us(), &lost(&what));
+        self.lose(what);
+    }
+
+    /// It is not lost after all, and the log tells of that; false where nobody said that it was.
     pub(super) fn take_back(&self, what: &str) -> bool {
-        self.losses.lock().unwrap_or_else(PoisonError::into_inner).take_back(what)
+        let is_back = self.losses.lock().unwrap_or_else(PoisonError::into_inner).take_back(what);
+        if is_back {
+            self.event(Level::Info, host_now_us(), &came(what));
+        }
+        is_back
     }
 
     pub(super) fn losses(&self) -> Vec<String> {

@@ -9,6 +9,21 @@ use crate::timeline::ExposureInterval;
 /// So many exposures are named.
 const NAMED: usize = 8;
 
+/// How an event of the log begins that tells of a loss which a replay cannot find out by itself: no frame came that it could miss.
+const LOST: &str = "lost: ";
+/// The same, where it was none after all.
+const CAME: &str = "not lost after all: ";
+
+/// An event that a replay repeats.
+pub(super) fn lost(what: &str) -> String {
+    format!("{LOST}{what}")
+}
+
+/// An event that takes an earlier one back.
+pub(super) fn came(what: &str) -> String {
+    format!("{CAME}{what}")
+}
+
 /// Sentences about what was lost, each once and in the order in which they came. What turns out not to be lost is taken back.
 #[derive(Debug, Default)]
 pub(super) struct Losses(Vec<(String, u32)>);
@@ -29,6 +44,15 @@ impl Losses {
             self.0.remove(at);
         }
         true
+    }
+
+    /// Takes what an event of a log says of losses; all others say nothing.
+    pub(super) fn hear(&mut self, event: &str) {
+        if let Some(what) = event.strip_prefix(LOST) {
+            self.add(what.to_owned());
+        } else if let Some(what) = event.strip_prefix(CAME) {
+            self.take_back(what);
+        }
     }
 
     pub(super) fn sentences(&self) -> Vec<String> {
@@ -173,6 +197,16 @@ mod tests {
         assert_eq!(losses.sentences(), ["latest: cut", "half a packet"], "one of the two is lost still");
         assert!(losses.take_back("latest: cut") && !losses.take_back("latest: cut"));
         assert_eq!(losses.sentences(), ["half a packet"]);
+    }
+
+    /// A replay said "nothing was lost" of a session that had lost half a file.
+    #[test]
+    fn what_events_say_of_losses_is_heard_and_taken_back() {
+        let mut losses = Losses::default();
+        for event in [lost("f1: half a file"), lost("f2: half a file"), "line lost: f3".to_owned(), came("f2: half a file")] {
+            losses.hear(&event);
+        }
+        assert_eq!(losses.sentences(), ["f1: half a file"]);
     }
 
     #[test]

@@ -37,6 +37,8 @@ pub struct Posed {
     pub intensifier: Option<Arc<Intensifier>>,
     /// Which pose is used.
     pub pose_source: PoseSource,
+    /// Where K comes from, if not from the beads.
+    pub k_source: Option<&'static str>,
     /// The view to render; absent without a pose.
     pub view: Option<View>,
     /// The robot, when telemetry covers the exposure.
@@ -71,7 +73,9 @@ impl Posed {
             Some(reason) => format!("refused, {reason}"),
             None => {
                 let unseen = self.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
-                format!("accepted, rms {:.3} px{}", self.pose.rms_px.unwrap_or(f64::NAN), unseen.unwrap_or_default())
+                let solved = self.pose.solved_k().map(|words| format!("; {words}"));
+                let more = [unseen, solved].into_iter().flatten().collect::<String>();
+                format!("accepted, rms {:.3} px{more}", self.pose.rms_px.unwrap_or(f64::NAN))
             }
         };
         format!("{}: {outcome}", self.label())
@@ -101,6 +105,7 @@ impl Posed {
             warnings: Vec::new(),
             intensifier: None,
             pose_source: PoseSource::Beads,
+            k_source: None,
             view: None,
             robot: None,
             joints: None,

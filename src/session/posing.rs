@@ -7,17 +7,23 @@ use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
 use super::posed::Posed;
+use super::remedy::K_REMEDY;
 use super::shown::Shown;
 use super::told_field::told_field;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::mask::{self, Masks};
-use crate::pose::{self, Pose, Prior, Refusal, Registration};
+use crate::pose::{self, IntrinsicsPrior, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::BindingFlag;
+
+/// Where K may come from.
+const OF_ARM: &str = "K of the C-arm's calibration";
+const OF_SESSION: &str = "K of the session's intrinsics";
+const OF_HEADER: &str = "K of the frame's header";
 
 /// What is known about a session when a frame is registered.
 #[derive(Clone, Debug)]
@@ -48,9 +54,15 @@ pub struct PoseJob {
     pitch_mm: Option<f64>,
     source_to_isocentre_mm: Option<f64>,
     intrinsics: Option<Intrinsics>,
-    /// K is that of the frame's header: what was assumed.
+    /// How sure K is; `None`: it is known, or solved.
+    intrinsics_prior: Option<IntrinsicsPrior>,
+    /// Where K comes from, if it is known before the beads are looked at.
+    k_source: Option<&'static str>,
+    /// The session states K, and not for a frame of this size: in words.
+    misfit: Option<String>,
+    /// K is that of the frame's header, or that of another binning: what was assumed.
     header: Option<String>,
-    /// K is that of no calibration, because the frame's size does not fit it: in words.
+    /// K is that of no calibration, because the frame's size does not fit it, or is not the header's: in words.
     unfit: Option<String>,
     camera_from_world: Option<Rigid>,
 }
@@ -59,7 +71,7 @@ impl PoseJob {
     /// `imported` is the bound frame as it lies on the panel; `development` counts from 0.
     #[must_use]
     pub fn new(bound: Bound, imported: Imported, known: Known, development: u32, reporter: &Reporter) -> Self {
-        let Imported { frame, carm: sized, doubt: unfit, warnings } = imported;
+        let Imported { frame, carm: sized, doubt: unfit, stated, warnings } = imported;
         // Of the frame where it fits the calibration: its columns may be turned against the panel's.
         let carm = sized.as_ref().or(known.setup.carm.as_ref());
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
@@ -84,10 +96,30 @@ impl PoseJob {
             reporter.warn("distortion", &note);
             warnings.push(note);
         }
-        let (intrinsics, pitch_mm, header) = match header {
-            Some((k, pitch_mm, words)) => (Some(k), Some(pitch_mm), Some(words)),
-            None => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
+        // Telemetry knows how far the detector was; what is stated stands for frames of which it tells nothing.
+        let stated = stated.filter(|_| bound.joints.is_none() || sized.is_none());
+        let off_header = stated.as_ref().and_then(|stated| stated.as_ref().ok()?.off_header(&frame));
+        let (mut misfit, mut intrinsics_prior, mut k_source) = (None, None, intrinsics.map(|_| OF_ARM));
+        let (intrinsics, pitch_mm, header) = match (stated, header) {
+            (Some(Ok(k)), _) => {
+                k_source = Some(OF_SESSION);
+                intrinsics_prior = k.prior;
+                let binned = || format!("K is for a larger picture: the frame is taken as binned {0} x {0}", k.binning);
+                let words = (k.binning > 1).then(binned);
+                (Some(k.intrinsics), k.pitch_mm.or(frame.tags.pitch_mm.map(|[across, _]| across)), words)
+            }
+            (Some(Err(words)), _) => {
+                (misfit, k_source) = (Some(words), None);
+                (None, None, None)
+            }
+            (None, Some((k, pitch_mm, words))) => {
+                k_source = Some(OF_HEADER);
+                (Some(k), Some(pitch_mm), Some(words))
+            }
+            (None, None) => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
         };
+        // Where the session states K, it is known after all.
+        let unfit = off_header.or(unfit.filter(|_| k_source.is_none()));
         let bound = Bound { frame, ..bound };
         Self {
             bound,
@@ -98,6 +130,9 @@ impl PoseJob {
             pitch_mm,
             source_to_isocentre_mm,
             intrinsics,
+            intrinsics_prior,
+            k_source,
+            misfit,
             header,
             unfit,
             camera_from_world,
@@ -145,6 +180,7 @@ impl PoseJob {
         let size_px = self.bound.frame.size_px.map(|n| n as u32);
         let registration = Registration {
             intrinsics: self.intrinsics,
+            intrinsics_prior: self.intrinsics_prior,
             pitch_mm: self.pitch_mm,
             source_to_isocentre_mm: self.source_to_isocentre_mm,
             prior: prior.as_ref(),
@@ -183,9 +219,14 @@ impl PoseJob {
             Some(Err(detail)) => pose.refused_for(Refusal::Distortion { detail: detail.clone() }),
             _ => pose,
         };
+        if let Some(detail) = &self.misfit {
+            pose = pose.refused_for(Refusal::OtherSize { detail: detail.clone() });
+        }
         pose.prior_from("by telemetry");
         if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
             pose.doubt(words.clone());
+        } else if let Some(words) = pose.solved_k() {
+            pose.doubt(format!("{words}, and depth is as uncertain as f is: {K_REMEDY}"));
         }
         pose.hear_header(&self.bound.frame, self.intensifier.is_some());
         pose
@@ -207,7 +248,7 @@ impl PoseJob {
         };
         if !fuses
             || self.known.tie_disputed
-            || self.intrinsics.is_none()
+            || self.k_source != Some(OF_ARM)
             || matches!(self.intensifier, Some(Err(_)))
             || self.bound.binding.is_guessed()
             || self.bound.binding.flags.iter().any(unsure)
@@ -317,6 +358,7 @@ impl Registered {
             warnings: job.warnings,
             intensifier: job.intensifier.and_then(Result::ok),
             pose_source,
+            k_source: job.k_source,
             view,
             robot,
             joints,

@@ -4,6 +4,9 @@ use super::posed::Posed;
 use crate::pose::Refusal;
 use crate::report::{Pair, Standing};
 
+/// Of a pose whose K nobody knows.
+pub(super) const K_REMEDY: &str = "give intrinsics in the session, or the C-arm's calibration";
+
 /// In a sentence; `None` where nothing needs mending.
 pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
     let caution = posed.robot.iter().flat_map(|robot| &robot.cautions).map(|caution| caution.remedy()).next();
@@ -13,6 +16,7 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
             "expose once more with nothing moving; if the image disagrees again, check which scan and which side the layout is of"
         }
         Standing::InDoubt if posed.pose.doubt.is_none() => "a replay of the log puts its image against other poses",
+        Standing::InDoubt if posed.pose.doubt.as_deref().is_some_and(|words| words.ends_with(K_REMEDY)) => K_REMEDY,
         Standing::InDoubt => {
             "check what the reason names; where it leaves two readings, another direction or more beads in view tell them apart"
         }
@@ -59,6 +63,9 @@ pub(super) fn of_refusal(refusal: &Refusal) -> &'static str {
         Refusal::Pixels { .. } => "undo what stretched the picture on its way: the aspect of a video grabber or of an export",
         Refusal::Intrinsics { .. } | Refusal::IntrinsicsContradicted { .. } | Refusal::FocalDegenerate { .. } => {
             "check the calibration of the arm: SID, pitch, binning, crop"
+        }
+        Refusal::OtherSize { .. } => {
+            "give \"intrinsics\" for frames as they arrive, or declare what the console does (\"console\")"
         }
         Refusal::Bodies { .. } | Refusal::BodySplit { .. } => "a part of the specimen has moved: fix it, or register on one body",
         Refusal::Uncertain { .. } => "bring more beads, farther apart, into the field and expose again",

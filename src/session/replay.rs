@@ -20,7 +20,7 @@ use super::input::{Input, Output};
 use super::jobs::Order;
 use super::log::{CLOCK_TOPIC, END_TOPIC, PoseRecord};
 use super::log_inputs::LogInputs;
-use super::losses::none_accepted;
+use super::losses::{Losses, none_accepted};
 use super::pace::Pace;
 use super::places;
 use super::posed::Posed;
@@ -116,6 +116,8 @@ pub fn run(
         scored: BTreeMap::new(),
         samples: Samples::default(),
         inputs: LogInputs::default(),
+        told: Losses::default(),
+        is_cut: false,
         recorded,
     };
     replay.run(log, options, reporter)
@@ -167,6 +169,10 @@ struct Replay<'a> {
     scored: BTreeMap<u32, bool>,
     samples: Samples,
     inputs: LogInputs,
+    /// What the log's events tell of losses that nothing else in it shows: files of which no frame came.
+    told: Losses,
+    /// Frames were cut away, and exposures were not.
+    is_cut: bool,
 }
 
 /// How a DRR stands to the log's.
@@ -205,6 +211,10 @@ impl Replay<'_> {
                 self.broadcast.begin_anew();
             } else if let Some(cut) = self.cut(&entry) {
                 self.samples.cut(cut.from_us, cut.to_us);
+                self.is_cut = true;
+            } else if &*entry.topic == topic::EVENTS {
+                // No result rests on one that is damaged.
+                entry.event().ok().flatten().iter().for_each(|event| self.told.hear(event));
             } else if let Some(input) = self.inputs.of(&entry) {
                 if let Input::Seen { frame, .. } = &input {
                     self.without_pixels.insert(frame.number);
@@ -241,6 +251,9 @@ impl Replay<'_> {
         }
         self.report.session_losses.extend(self.engine.line_losses());
         self.report.session_losses.extend(self.engine.hardly_bound());
+        if !self.is_cut {
+            self.engine.unmatched().for_each(|(kind, words)| reporter.warn(kind, words));
+        }
     }
 
     fn cut(&mut self, entry: &LogEntry) -> Option<CutRecord> {
@@ -402,6 +415,7 @@ impl Replay<'_> {
             self.report.losses.push(format!("the pixels of {posed} frames {words}"));
         }
         self.report.losses.extend(self.inputs.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
+        self.report.session_losses.splice(0..0, self.told.sentences());
         self.board.finish(&self.engine, self.last_us, self.report.frames);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
         let folder =

@@ -52,8 +52,14 @@ impl Drop for Ending {
                     "the thread that poses edited frames died: no bead is edited any more; a replay of the log makes the edits",
                 ),
             };
-            self.log.event(Level::Error, host_now_us(), words);
-            self.log.lose(words.to_owned());
+            match self.source {
+                Source::Lines | Source::Frames => self.log.lose_for_good(words.to_owned()),
+                // A replay does what was left.
+                Source::Registrar | Source::Editor => {
+                    self.log.event(Level::Error, host_now_us(), words);
+                    self.log.lose(words.to_owned());
+                }
+            }
             self.reporter.warn(kind, words);
         }
         self.log.tell(Event::Ended(self.source));

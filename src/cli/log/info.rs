@@ -43,7 +43,11 @@ fn text(told: &Inventory) -> String {
     if let Some(from) = &told.provenance {
         lines.push(format!("recorded by {} {} on {}", from.program, from.version, from.host));
     }
-    lines.push(format!("start {}, {length_s:.3} s, {} bytes", rfc3339_from_us(start_us), told.bytes));
+    lines.push(format!(
+        "start {}, {length_s:.3} s from the first message to the last, {} bytes",
+        rfc3339_from_us(start_us),
+        told.bytes
+    ));
     let end = match (told.closed, told.has_session, told.ended) {
         (false, ..) => "not closed: the program was stopped, or the file is cut",
         (true, true, false) => "closed, but the session was cut short",

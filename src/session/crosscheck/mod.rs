@@ -18,6 +18,7 @@ mod metal;
 mod ports;
 mod robot;
 mod robot_watch;
+mod stated_k;
 mod units;
 mod video;
 
@@ -52,6 +53,7 @@ pub fn check_session(setup: &Setup, scene: &Scene, layout: Option<&BeadLayout>) 
     found.extend(setup.carm.iter().flat_map(units::check_calibration));
     found.extend(check_fuse(setup));
     found.extend(units::check_scene_detector(setup, scene));
+    found.extend(stated_k::check_stated_k(setup, scene));
     let centre = layout.map(BeadLayout::centroid_lps_mm).or_else(|| scene.bounds().map(|(centre, _): (DVec3, f64)| centre));
     found.extend(units::check_room(setup, centre));
     found.extend(robot::check_robot(setup, scene));

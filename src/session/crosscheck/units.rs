@@ -13,7 +13,7 @@ const SID_MM: (f64, f64) = (300.0, 2500.0);
 /// Focal spot to isocentre.
 const SOD_MM: (f64, f64) = (150.0, 2000.0);
 /// Pixels of panels, binned ones included.
-const PITCH_MM: (f64, f64) = (0.02, 3.0);
+pub(super) const PITCH_MM: (f64, f64) = (0.02, 3.0);
 /// Sides of frames.
 const SIDE_PX: (u32, u32) = (32, 8192);
 /// The specimen lies this close to the isocentre of an arm that stands at zero; arms travel.

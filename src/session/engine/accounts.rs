@@ -23,6 +23,15 @@ impl Engine {
         self.layout.is_some() || self.tags.is_some()
     }
 
+    /// Exposures without a frame and frames of no exposure, each with the kind of warning that it is.
+    pub fn unmatched(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let all = [
+            ("exposures without a frame", self.exposures_without_frame()),
+            ("frames of no exposure", self.frames_of_no_exposure()),
+        ];
+        all.into_iter().filter_map(|(kind, words)| Some((kind, words?)))
+    }
+
     /// Exposures that telemetry tells of and no frame came of, in words.
     #[must_use]
     pub fn exposures_without_frame(&self) -> Option<String> {

@@ -88,7 +88,7 @@ impl Session {
                         self.stage = Stage::Closing { asked_us };
                         return;
                     };
-                    self.log.lose(given_up.to_string());
+                    self.log.lose_for_good(given_up.to_string());
                 }
                 let (frames, complete) = (self.frames(), self.scribe.complete());
                 let progress = self.reporter.progress("finishing", frames as u64);
@@ -143,7 +143,8 @@ impl Session {
         self.scribe.leave();
         let unread = self.board.read(|state| state.frames_unread);
         if unread > 0 {
-            self.log.lose(format!("left at once: {unread} files of the frame folder were not read yet; attach them to the log"));
+            let words = "files of the frame folder were not read yet; attach them to the log";
+            self.log.lose_for_good(format!("left at once: {unread} {words}"));
         }
         if open > 0 {
             self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
@@ -155,15 +156,9 @@ impl Session {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
         self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
-        let unmatched = [
-            ("exposures without a frame", self.engine.exposures_without_frame()),
-            ("frames of no exposure", self.engine.frames_of_no_exposure()),
-        ];
-        for (kind, words) in unmatched {
-            if let Some(words) = words {
-                self.reporter.warn(kind, &words);
-                self.log.event(Level::Warning, host_now_us(), &words);
-            }
+        for (kind, words) in self.engine.unmatched() {
+            self.reporter.warn(kind, &words);
+            self.log.event(Level::Warning, host_now_us(), &words);
         }
         self.publish(host_now_us());
         self.board.update(|state| state.finished = true);

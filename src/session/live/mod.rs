@@ -8,6 +8,7 @@
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
 mod ending;
+mod ready;
 mod registering;
 mod telling;
 
@@ -126,6 +127,10 @@ pub fn run(
     let jobs = start_registrar(Arc::clone(&log), reporter)?;
     let lines = ports.record(&setup, &log, board, reporter)?;
     let frames = Frames::watch(source, &log, (board, &busy), reporter)?;
+    if editor.is_none() {
+        // No window says it.
+        reporter.note(ready::ready(&setup, workshop.names(), &options.out));
+    }
     let session = Session {
         engine,
         log,

@@ -5,6 +5,7 @@
 
 mod cut;
 mod error;
+mod frame_tables;
 mod frames;
 mod inventory;
 mod lines;
@@ -15,6 +16,7 @@ mod redact;
 mod renumber;
 mod retrace;
 mod serial_numbers;
+mod sheet;
 mod tables;
 mod verify;
 mod video;

@@ -111,6 +111,7 @@ impl Names {
             (&mut session.landmarks, "landmarks.mrk.json"),
             (&mut session.detector, "detector.json"),
             (&mut session.intensifier, "intensifier.json"),
+            (&mut session.intrinsics, "intrinsics.json"),
             (&mut session.tags, "tags.json"),
         ];
         for (path, role) in roles {

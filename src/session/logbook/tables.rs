@@ -1,22 +1,17 @@
-//! A log as tables: exposures, both devices, beads and scores, each a CSV file with units in its headers. What was not measured is empty.
+//! A log as tables: exposures, both devices, poses, beads and scores, each a CSV file with units in its headers. What was not measured is empty.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-
-use serde::Deserialize;
 
 use super::super::edit::{NOTE_TOPIC, NoteRecord, take_note};
 use super::super::log::PoseRecord;
 use super::super::records::RESTART_TOPIC;
 use super::LogbookError;
+use super::frame_tables::{write_beads, write_poses, write_scores};
 use super::frames::Frames;
 use super::inventory::Reading;
 use super::lines::{Heard, Lines};
-use crate::compare::{NULL_SCORES, Scores};
-use crate::image::NewFile;
-use crate::pose::Pose;
+use super::sheet::{Table, number, or_empty};
 use crate::record::{LogReader, Tolerance, topic};
 use crate::report::Pair;
 use crate::reporter::Reporter;
@@ -25,7 +20,7 @@ use crate::time::rfc3339_from_us;
 use crate::timeline::{ExposureInterval, Stamps};
 
 /// The files, in the order in which they are told.
-const FILES: [&str; 5] = ["exposures.csv", "carm.csv", "robot.csv", "beads.csv", "scores.csv"];
+const FILES: [&str; 6] = ["exposures.csv", "carm.csv", "robot.csv", "poses.csv", "beads.csv", "scores.csv"];
 
 const JOINTS: [&str; 7] = [
     "lift_mm",
@@ -44,43 +39,6 @@ pub struct TablesReport {
     pub rows: Vec<(PathBuf, u64)>,
     /// What of the log could not be read.
     pub losses: Vec<String>,
-}
-
-/// A file that appears under its name when it is whole.
-struct Table {
-    new: NewFile,
-    writer: csv::Writer<BufWriter<File>>,
-    rows: u64,
-}
-
-impl Table {
-    fn create(path: &Path) -> Result<Self, LogbookError> {
-        let (new, file) = NewFile::create(path).map_err(|source| failed(path, source))?;
-        Ok(Self { new, writer: csv::Writer::from_writer(BufWriter::new(file)), rows: 0 })
-    }
-
-    fn head(&mut self, columns: impl IntoIterator<Item = String>) -> Result<(), LogbookError> {
-        let outcome = self.writer.write_record(columns.into_iter().collect::<Vec<_>>());
-        outcome.map_err(|error| self.failed(error.into()))
-    }
-
-    fn row(&mut self, cells: Vec<String>) -> Result<(), LogbookError> {
-        self.rows += 1;
-        self.writer.write_record(cells).map_err(|error| self.failed(error.into()))
-    }
-
-    fn failed(&self, source: std::io::Error) -> LogbookError {
-        failed(self.new.path(), source)
-    }
-
-    fn finish(mut self) -> Result<(PathBuf, u64), LogbookError> {
-        self.writer.flush().map_err(|source| self.failed(source))?;
-        let Self { new, writer, rows } = self;
-        drop(writer);
-        let path = new.path().to_owned();
-        new.appear().map_err(|source| failed(&path, source))?;
-        Ok((path, rows))
-    }
 }
 
 /// Rows of a device, which wait until the times of their samples are known.
@@ -109,22 +67,6 @@ impl Samples {
     }
 }
 
-fn failed(path: &Path, source: std::io::Error) -> LogbookError {
-    let path = path.to_owned();
-    match source.kind() {
-        std::io::ErrorKind::AlreadyExists => LogbookError::TableExists { path },
-        _ => LogbookError::Out { path, source },
-    }
-}
-
-fn number(value: f64) -> String {
-    if value.is_finite() { value.to_string() } else { String::new() }
-}
-
-fn or_empty<T: ToString>(value: Option<T>) -> String {
-    value.map(|value| value.to_string()).unwrap_or_default()
-}
-
 /// Writes the tables into `folder`, which is made where it is missing.
 ///
 /// # Errors
@@ -132,8 +74,9 @@ fn or_empty<T: ToString>(value: Option<T>) -> String {
 pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<TablesReport, LogbookError> {
     let mut reader = LogReader::open(log)?;
     std::fs::create_dir_all(folder).map_err(|source| LogbookError::Out { path: folder.to_owned(), source })?;
-    let [exposures, carm, robot, beads, scores] = FILES.map(|name| Table::create(&folder.join(name)));
-    let (mut exposures, mut carm, mut robot, mut beads, mut scores) = (exposures?, carm?, robot?, beads?, scores?);
+    let [exposures, carm, robot, of_poses, beads, scores] = FILES.map(|name| Table::create(&folder.join(name)));
+    let (mut exposures, mut carm, mut robot) = (exposures?, carm?, robot?);
+    let (mut of_poses, mut beads, mut scores) = (of_poses?, beads?, scores?);
     carm.head(carm_columns())?;
     robot.head(robot_columns())?;
     let (mut carm, mut robot) = (Samples::new(DeviceKind::Carm, carm), Samples::new(DeviceKind::Robot, robot));
@@ -184,10 +127,11 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
     carm.write(&lines)?;
     robot.write(&lines)?;
     write_exposures(&mut exposures, &lines, &frames, &notes)?;
-    write_beads(&mut beads, &poses)?;
-    write_scores(&mut scores, &pairs)?;
-    let rows =
-        [exposures, carm.table, robot.table, beads, scores].map(Table::finish).into_iter().collect::<Result<Vec<_>, _>>()?;
+    write_poses(&mut of_poses, &frames, &poses, &pairs)?;
+    write_beads(&mut beads, &frames, &poses)?;
+    write_scores(&mut scores, &frames, &pairs)?;
+    let tables = [exposures, carm.table, robot.table, of_poses, beads, scores];
+    let rows = tables.map(Table::finish).into_iter().collect::<Result<Vec<_>, _>>()?;
     let damage = reader.losses().iter().map(ToString::to_string);
     Ok(TablesReport { rows, losses: damage.chain(tolerance.losses()).collect() })
 }
@@ -338,86 +282,4 @@ fn exposure_cells(piece: u32, exposure: &ExposureInterval) -> Vec<String> {
     row.push(or_empty(exposure.joints.as_ref().map(|joints| joints.gap_us)));
     row.extend(exposure.control_angles_deg.as_ref().map_or([f64::NAN; 5], |angles| angles.value).map(number));
     row
-}
-
-fn write_beads(table: &mut Table, poses: &BTreeMap<u32, PoseRecord>) -> Result<(), LogbookError> {
-    let head = [
-        "frame",
-        "status",
-        "bead",
-        "body",
-        "x_lps_mm",
-        "y_lps_mm",
-        "z_lps_mm",
-        "image_u_px",
-        "image_v_px",
-        "predicted_u_px",
-        "predicted_v_px",
-        "residual_u_px",
-        "residual_v_px",
-        "sigma_px",
-        "used",
-        "check",
-        "reason",
-    ];
-    table.head(head.map(str::to_owned))?;
-    for (frame, record) in poses {
-        let Ok(pose) = Pose::deserialize(&record.pose) else { continue };
-        let status = if pose.is_accepted() { "accepted" } else { "refused" };
-        for bead in &pose.beads {
-            let pixels = |at: Option<[f64; 2]>| at.unwrap_or([f64::NAN; 2]).map(number);
-            let mut row = vec![frame.to_string(), status.to_owned(), bead.name.clone(), bead.body.clone()];
-            row.extend(bead.lps_mm.to_array().map(number));
-            row.extend([bead.image_px, bead.predicted_px, bead.residual_px].map(pixels).into_iter().flatten());
-            row.extend([
-                or_empty(bead.sigma_px),
-                u8::from(bead.used).to_string(),
-                u8::from(bead.check).to_string(),
-                bead.reason.clone().unwrap_or_default(),
-            ]);
-            table.row(row)?;
-        }
-    }
-    Ok(())
-}
-
-/// Scores without a null, in the order of their file.
-const OTHER_SCORES: [&str; 3] = ["edge_distance_mm", "bias_nepers", "noise_nepers"];
-
-fn write_scores(table: &mut Table, pairs: &BTreeMap<u32, Pair>) -> Result<(), LogbookError> {
-    let head = ["frame", "time_us", "status", "pose_source", "binding", "rms_px", "rms_mm", "render_error"];
-    let with_null = NULL_SCORES.iter().flat_map(|(name, _)| [(*name).to_owned(), format!("{name}_null_margin")]);
-    let others = OTHER_SCORES.iter().map(|name| (*name).to_owned());
-    table.head(head.map(str::to_owned).into_iter().chain(with_null).chain(others))?;
-    for (frame, pair) in pairs {
-        let mut row = vec![
-            frame.to_string(),
-            or_empty(pair.time_us),
-            word(&pair.status),
-            word(&pair.pose_source),
-            pair.binding.clone(),
-            or_empty(pair.rms_px),
-            or_empty(pair.rms_mm),
-            or_empty(pair.render_error),
-        ];
-        for (name, larger_is_better) in NULL_SCORES {
-            let margin = pair.null.get(name).and_then(|null| {
-                let ahead = null.at_pose? - null.best_shifted?;
-                Some(if larger_is_better { ahead } else { -ahead })
-            });
-            row.extend([of(&pair.scores, name), or_empty(margin)]);
-        }
-        row.extend(OTHER_SCORES.map(|name| of(&pair.scores, name)));
-        table.row(row)?;
-    }
-    Ok(())
-}
-
-fn of(scores: &Scores, name: &str) -> String {
-    scores.get(name).map(number).unwrap_or_default()
-}
-
-/// A variant's name in files.
-fn word(value: &impl serde::Serialize) -> String {
-    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }

@@ -46,6 +46,8 @@ impl Stand {
         if stored_px.is_none() {
             setup.session.console = None;
         }
+        // The rehearsed frame is of its own size, and its header, or the arm, tells its K.
+        setup.intrinsics = None;
         let view = choose_view(carm.as_ref(), setup.session.world_from_lps, places, scene)?;
         let joints = carm.as_ref().map(first_joints);
         let camera = carm.as_ref().zip(joints).map(|(carm, joints)| carm.world_from_camera(&joints));

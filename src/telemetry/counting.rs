@@ -49,3 +49,26 @@ pub(super) fn count(
     }
     Some(sequenced)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A packet that came one place late was told as a frame lost and a frame late.
+    #[test]
+    fn a_late_packet_is_counted_late_and_not_lost() {
+        let (mut tracker, mut health) = (SequenceTracker::default(), Health::default());
+        let mut told = Vec::new();
+        for n in [1, 2, 4, 3, 5, 8, 6] {
+            count(&mut tracker, &mut health, n, 10 * u64::from(n), &mut |event| {
+                if let Event::Fault(fault) = event {
+                    told.push(fault.to_string());
+                }
+            });
+        }
+        // The seventh never came.
+        assert_eq!((health.lost, health.reordered, health.resets), (1, 2, 0));
+        let missing = |count: u32| format!("packets missing: {count}, lost unless they come late");
+        assert_eq!(told, [missing(1), "packet 3 came late".to_owned(), missing(2), "packet 6 came late".to_owned()]);
+    }
+}

@@ -34,22 +34,22 @@ pub enum DecodeFault {
         /// Longest frame or line.
         limit: usize,
     },
-    /// Sequence numbers are missing before the sample that follows.
-    #[error("{count} frames lost")]
+    /// Sequence numbers are missing before the sample that follows: lost, unless a [`DecodeFault::Reordered`] tells of them.
+    #[error("packets missing: {count}, lost unless they come late")]
     Lost {
         /// How many.
         count: u32,
         /// Whether the port was closed meanwhile.
         while_closed: bool,
     },
-    /// The frame was here before; its sample is not delivered again.
-    #[error("frame {sequence} came twice")]
+    /// The packet was here before; its sample is not delivered again.
+    #[error("packet {sequence} came twice")]
     Duplicate {
         /// Its number.
         sequence: u32,
     },
-    /// The frame comes after later ones; its sample follows.
-    #[error("frame {sequence} came late")]
+    /// The packet comes after later ones and is not lost; its sample follows.
+    #[error("packet {sequence} came late")]
     Reordered {
         /// Its number.
         sequence: u32,

@@ -185,11 +185,10 @@ impl SequenceTracker {
 
     /// Whether the time lies after that of the nearest earlier frame that was seen.
     fn between_neighbours(&self, sequence: u32, device_us: u64) -> bool {
-        let earlier = self.seen.iter().flatten().filter(|(number, _)| {
-            let behind = sequence.wrapping_sub(*number);
-            behind > 0 && behind <= REORDER_DEPTH
-        });
-        earlier.map(|(_, time_us)| *time_us).max().is_none_or(|earlier_us| device_us >= earlier_us)
+        let behind = |(number, _): &&(u32, u64)| sequence.wrapping_sub(*number);
+        // Of the nearest alone: frames further back may be from before a step of the clock.
+        let earlier = self.seen.iter().flatten().filter(|frame| (1..=REORDER_DEPTH).contains(&behind(frame))).min_by_key(behind);
+        earlier.is_none_or(|(_, earlier_us)| device_us >= *earlier_us)
     }
 
     fn restart(&mut self, sequence: u32, device_us: u64) {
@@ -229,6 +228,23 @@ mod tests {
         assert_eq!(verdicts(&[(0, 60), (u32::MAX, 50), (1, 70)]), [Next, Early(0), Next]);
         // A time that does not lie before is another count's.
         assert_eq!(verdicts(&[(6, 60), (5, 61), (6, 71)]), [Next, Reset, Next]);
+    }
+
+    /// Of an arm whose clock had jumped ahead and back, each packet that came one place late was said to be a restart, and a loss.
+    #[test]
+    fn a_late_packet_after_the_clock_jumped_back_is_no_restart() {
+        use Sequenced::{Gap, Next, Reordered, Reset};
+        let at = |n: u32, ahead_us: u64| (n, 1_000_000 + 33_000 * u64::from(n) + ahead_us);
+        let mut frames: Vec<(u32, u64)> = (0..10).map(|n| at(n, 0)).collect();
+        frames.extend((10..20).map(|n| at(n, 7_000_000)));
+        frames.extend([20, 21, 23, 22, 24, 26, 25, 27].map(|n| at(n, 0)));
+        let seen = verdicts(&frames);
+        assert!(seen[..22].iter().all(|verdict| *verdict == Next), "{seen:?}");
+        assert_eq!(seen[22..], [Gap(1), Reordered, Next, Gap(1), Reordered, Next]);
+        // One from before its neighbours is another count's.
+        frames.truncate(23);
+        frames.push((22, 40_000));
+        assert_eq!(verdicts(&frames)[22..], [Gap(1), Reset]);
     }
 
     #[test]

@@ -9,11 +9,14 @@ pub struct Mistake {
     axes: [usize; 3],
     /// Sign of each.
     signs: [f64; 3],
-    /// 1000 where the file holds metres taken for millimetres, 0.001 for microns.
+    /// Of [`UNITS`] where the file holds another unit taken for millimetres.
     scale: f64,
     /// Added after all else, mm.
     shift_mm: DVec3,
 }
+
+/// Units that are taken for millimetres: how many of these they are, and what they are called.
+const UNITS: [(f64, &str); 3] = [(1000.0, "metres"), (10.0, "centimetres"), (0.001, "microns")];
 
 const NONE: Mistake = Mistake { axes: [0, 1, 2], signs: [1.0; 3], scale: 1.0, shift_mm: DVec3::ZERO };
 /// RAS taken for LPS, or the reverse.
@@ -43,11 +46,7 @@ impl Mistake {
             (1 | 3, true) => words.push(format!("mirrored ({} negated)", negative.join(", "))),
             _ => words.push(format!("{} were negated", negative.join(", "))),
         }
-        if self.scale > 1.0 {
-            words.push("they were in metres".to_owned());
-        } else if self.scale < 1.0 {
-            words.push("they were in microns".to_owned());
-        }
+        words.extend(UNITS.iter().find(|(scale, _)| *scale == self.scale).map(|(_, unit)| format!("they were in {unit}")));
         if self.shift_mm != DVec3::ZERO {
             // Rounded first: −0.04 is no −0.0.
             let [x, y, z] = (-self.shift_mm).to_array().map(|mm| (mm * 10.0).round() / 10.0 + 0.0);
@@ -82,7 +81,7 @@ pub fn mistakes() -> Vec<Mistake> {
     turned.retain(|mistake| *mistake != NONE);
     // The swap is by far the most frequent.
     turned.sort_by_key(|mistake| !mistake.is_swap());
-    let scaled = [1000.0, 0.001].into_iter().flat_map(|scale| [NONE, SWAPPED].map(|mistake| Mistake { scale, ..mistake }));
+    let scaled = UNITS.into_iter().flat_map(|(scale, _)| [NONE, SWAPPED].map(|mistake| Mistake { scale, ..mistake }));
     let mut all: Vec<Mistake> = scaled.collect();
     all.extend(turned);
     all
@@ -254,7 +253,7 @@ mod tests {
             let found = align(&spoiled(mistake), &places(), &STRICT);
             assert_eq!(found, Alignment::Mistaken { mistake: *mistake, matched: 6, as_stated: 0 }, "{}", mistake.words());
         }
-        assert_eq!(all.len(), 51);
+        assert_eq!(all.len(), 53);
         assert!(SWAPPED.words().contains("RAS and LPS") && SWAPPED.is_swap());
     }
 

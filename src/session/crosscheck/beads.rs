@@ -19,6 +19,9 @@ const REACH_MM: f64 = 8.0;
 const FAR_OUTSIDE_MM: f64 = 30.0;
 /// Layouts narrower than this were hardly meant in millimetres, nor wider than the second.
 const PLAUSIBLE_SPAN_MM: (f64, f64) = (3.0, 2000.0);
+/// The remedy for beads in another unit: the file says millimetres already, or nothing.
+const BEAD_UNITS: &str =
+    "name the unit of its numbers in the file (coordinateUnits \"m\", \"cm\" or \"um\"), or export the beads in millimetres";
 
 /// All checks of a layout against its scene.
 #[must_use]
@@ -52,7 +55,7 @@ fn remedy(mistake: &Mistake, stated: Option<&str>) -> String {
     if mistake.is_swap() {
         format!("the file says {is} but its numbers are {other}: set its coordinateSystem to \"{other}\", or export it again")
     } else if mistake.is_unit() {
-        "export the beads in millimetres (coordinateUnits \"mm\")".to_owned()
+        BEAD_UNITS.to_owned()
     } else {
         "export the beads again from the CT that the scene names, in its own axes and without a transform".to_owned()
     }
@@ -82,7 +85,7 @@ fn check_span(points: &[DVec3]) -> Option<Finding> {
     let unit = if span_mm < least { "metres" } else { "microns" };
     let detail =
         format!("{} beads lie within {span_mm:.3} mm of each other: they look like {unit} taken for millimetres", points.len());
-    Some(Finding::fail("bead units", detail, "export the beads in millimetres (coordinateUnits \"mm\")"))
+    Some(Finding::fail("bead units", detail, BEAD_UNITS))
 }
 
 fn against_spheres(scene: &Scene, layout: &BeadLayout, points: &[DVec3], stated: Option<&str>) -> Option<Finding> {

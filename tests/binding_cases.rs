@@ -430,3 +430,32 @@ fn slow_telemetry_that_counts_is_enough() {
         assert!(score.wrong.is_empty() && score.bound == 6, "{rate_hz} Hz: {} bound, {:#?}", score.bound, score.wrong);
     }
 }
+
+/// Consoles export the first image, or the last pulses, before the beam's end. Such frames were never tied, whatever counter and stamp said.
+#[test]
+fn frames_that_come_while_the_beam_is_on_are_of_it_where_counter_or_stamp_say_so() {
+    // All in beams that end soon after, or long after; two among others that come after their exposures.
+    for (beam_s, early) in [(1.2, vec![0, 1, 2, 3, 4, 5]), (6.0, vec![0, 1, 2, 3, 4, 5]), (1.2, vec![2, 4])] {
+        for stamped in [true, false] {
+            let exposures: Vec<(f64, f64)> = calm(6).into_iter().map(|(start, _)| (start, start + beam_s)).collect();
+            let came_s = |i: usize| if early.contains(&i) { exposures[i].0 + 0.8 } else { exposures[i].1 + 0.4 };
+            let came: Vec<Came> = (0..6).map(|i| (Truth::Of(i), came_s(i), Some(i as u32 + 1))).collect();
+            let score = played(&exposures, &[], true, stamped, &came);
+            assert!(score.wrong.is_empty() && score.bound == 6, "{beam_s} s, {stamped}: {:#?}", score.told);
+        }
+    }
+}
+
+/// A frame that comes late while the next exposure is on is not of that one, and one that says nothing of itself is of none.
+#[test]
+fn a_late_frame_that_comes_while_another_beam_is_on_is_not_of_that_one() {
+    let exposures: Vec<(f64, f64)> = calm(7).into_iter().map(|(start, _)| (start, start + 1.2)).collect();
+    for counter in [Some(1), Some(2), None] {
+        for stamped in [true, false] {
+            let count = |i: usize| counter.map(|first| i as u32 + first);
+            let came: Vec<Came> = (0..6).map(|i| (Truth::Of(i), exposures[i + 1].0 + 0.8, count(i))).collect();
+            let score = played(&exposures, &[], true, stamped, &came);
+            assert!(score.frames == 6 && score.wrong.is_empty(), "{counter:?} {stamped}: {:#?}", score.wrong);
+        }
+    }
+}

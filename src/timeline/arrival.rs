@@ -50,6 +50,10 @@ impl Weighed<'_> {
                 return none(words);
             }
         };
+        if self.known.was_on_for(said, at) {
+            words.push(format!("{} was on when the frame arrived, which alone does not tell", self.label(at)));
+            return none(words);
+        }
         if !self.known.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
             return Judgement::Wait("waiting whether more frames come with it".to_owned());
         }
@@ -106,7 +110,7 @@ impl Weighed<'_> {
             let bound = other.binding.exposure.as_ref().and_then(|exposure| shots.position(exposure.index));
             let at = match (bound, prompt) {
                 (Some(at), _) if prompt.contains(&at) => at,
-                (None, [at]) if shots.get(*at).prompt_frames == 1 => *at,
+                (None, [at]) if shots.get(*at).prompt_frames == 1 && !self.known.was_on_for(&other.evidence, *at) => *at,
                 _ => return None,
             };
             let (shot, arrival_us) = (shots.get(at), other.evidence.arrival_us?);

@@ -15,11 +15,9 @@ use super::evidence::{Binding, BindingFlag, FrameEvidence, flags_of, time_within
 use super::judgement::{Judgement, Weighed};
 use super::known::{Known, MINUTE_US, Pending};
 use super::series::SeriesStamps;
-use super::shots::{BATCH_US, PROMPT_US};
+use super::shots::{BATCH_US, PROMPT_US, was_on};
 use crate::telemetry::DeviceKind;
 
-/// Frames that take part in an agreement: the latest.
-const VOTERS: usize = 48;
 /// A frame whose telemetry has not come after this long is judged without it.
 const PATIENCE_US: i64 = 1_000_000;
 /// Frames without an exposure that are looked at as a batch, and how many more there must be until that is done again.
@@ -72,7 +70,7 @@ impl Binder {
             }
             self.stands_for.insert(frame, (first, own));
             // Kept for its own place within the run.
-            self.known.frames.insert(frame, Pending { evidence, prompt: None, binding: Binding::default(), images: Vec::new() });
+            self.known.frames.insert(frame, Pending::new(evidence, Binding::default()));
             return;
         }
         self.known.contents.insert(evidence.content.clone(), (frame, BTreeMap::from([(image, frame)])));
@@ -88,7 +86,7 @@ impl Binder {
             None => {}
         }
         self.known.open.insert(frame);
-        self.known.frames.insert(frame, Pending { evidence, prompt: None, binding: waiting(), images: Vec::new() });
+        self.known.frames.insert(frame, Pending::new(evidence, waiting()));
     }
 
     /// The picture of `content`, which says nothing of its exposure, came again as `frame`, which does: the first one is the copy, unless it has
@@ -132,7 +130,7 @@ impl Binder {
         let images = &mut self.known.contents.entry(evidence.content.clone()).or_insert((first, BTreeMap::new())).1;
         images.insert(evidence.image_of_file[0], frame);
         self.stands_for.insert(frame, (first, own));
-        let place = Pending { evidence: evidence.clone(), prompt: None, binding: Binding::default(), images: Vec::new() };
+        let place = Pending::new(evidence.clone(), Binding::default());
         self.known.frames.insert(frame, place);
         let words = format!("the file was written on, or anew: frame {frame} is the whole picture and has its exposure");
         self.stands_for.insert(before, (first, aside(words, BindingFlag::Unfinished { replaced_by: frame })));
@@ -148,6 +146,7 @@ impl Binder {
             self.known.open.iter().any(|frame| self.known.frames.get(frame).is_some_and(|pending| !pending.binding.settled));
         if self.fresh || new_shots || waits {
             self.fresh = false;
+            self.meet_ended(timeline);
             self.meet(timeline, newest_us, now_us);
             self.settle(timeline, newest_us, now_us);
         }
@@ -176,10 +175,33 @@ impl Binder {
         self.known.clock()
     }
 
+    /// Asks again of the frames that came while an exposure was on, which has ended since.
+    fn meet_ended(&mut self, timeline: &Timeline) {
+        for frame in &self.known.open.clone() {
+            let Some(pending) = self.known.frames.get_mut(frame) else { continue };
+            let Some(at) = pending.running.and_then(|index| self.known.shots.position(index)) else { continue };
+            pending.running = None;
+            let Some(prompt) = pending.prompt.as_mut().filter(|prompt| self.known.shots.may_come_early(at, prompt)) else {
+                continue;
+            };
+            if prompt.is_empty() {
+                self.known.strays = self.known.strays.saturating_sub(1);
+            }
+            prompt.push(at);
+            self.known.shots.get_mut(at).prompt_frames += 1;
+            let arrival_us = pending.evidence.arrival_us.unwrap_or(i64::MAX);
+            let blind = timeline.exposure_tracker().blind_spot(arrival_us.saturating_sub(PROMPT_US), arrival_us).is_some();
+            if !blind && !self.known.voters.contains(frame) {
+                self.known.vote(*frame);
+            }
+        }
+    }
+
     /// Finds the exposures shortly before frames whose arrival telemetry has reached.
     fn meet(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         let open: Vec<u32> = self.known.open.iter().copied().collect();
         let lags = self.known.shots.lags(timeline.exposure_tracker());
+        let running = timeline.exposure_tracker().open();
         for frame in open {
             let before = frame.checked_sub(1).and_then(|before| self.known.frames.get(&before));
             let before_us = before.and_then(|before| before.evidence.arrival_us);
@@ -193,7 +215,14 @@ impl Binder {
             if pending.prompt.is_some() || !reached && patient {
                 continue;
             }
-            let prompt = self.known.shots.prompt(arrival_us);
+            let shots = &self.known.shots;
+            let mut prompt = shots.prompt(arrival_us);
+            let running = running.filter(|open| was_on(open, arrival_us) && shots.may_come_early(shots.len(), &prompt));
+            if running.is_some() && patient {
+                continue;
+            }
+            pending.running = running.map(|open| open.index);
+            prompt.extend(shots.on_at(arrival_us).filter(|at| shots.may_come_early(*at, &prompt)));
             let batch = before_us.is_some_and(|before_us| arrival_us.saturating_sub(before_us) <= BATCH_US);
             for at in &prompt {
                 self.known.shots.get_mut(*at).prompt_frames += 1;
@@ -213,10 +242,9 @@ impl Binder {
             if prompt.is_empty() {
                 self.known.strays += 1;
             } else if timeline.exposure_tracker().blind_spot(arrival_us.saturating_sub(PROMPT_US), arrival_us).is_none() {
-                self.known.voters.push(frame);
-                if self.known.voters.len() > VOTERS {
-                    self.known.voters.remove(0);
-                }
+                pending.prompt = Some(prompt);
+                self.known.vote(frame);
+                continue;
             }
             pending.prompt = Some(prompt);
         }

@@ -246,7 +246,10 @@ const LATE_LIMIT_US: i64 = 10_000_000;
 pub(super) fn span_of(frame: &FrameEvidence, exposure: &ExposureInterval, stamp: Option<[i64; 2]>) -> [i64; 2] {
     let whole = [exposure.start_us, exposure.end_us];
     if exposure.samples > 0 {
-        return whole;
+        // What came while the beam was on shows nothing of what came after it.
+        let over_us = exposure.end_us.saturating_sub(exposure.end_uncertainty_us as i64);
+        let early_us = frame.arrival_us.filter(|arrival_us| (exposure.start_us..over_us).contains(arrival_us));
+        return [whole[0], early_us.unwrap_or(whole[1])];
     }
     let narrowed = |[from_us, to_us]: [i64; 2], [low_us, high_us]: [i64; 2]| {
         let both = [from_us.max(low_us), to_us.min(high_us)];

@@ -6,7 +6,7 @@ use super::Timeline;
 use super::counting::Firmness;
 use super::evidence::BindingHow;
 use super::known::{Known, Pending};
-use super::shots::BATCH_US;
+use super::shots::{BATCH_US, was_on};
 
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
 const SOON_US: i64 = 4_000_000;
@@ -43,6 +43,9 @@ pub(super) struct Weighed<'a> {
 
 impl Weighed<'_> {
     pub(super) fn judge(&self) -> Judgement {
+        if self.pending.prompt.is_none() && self.came_before_the_end() {
+            return Judgement::Wait("an exposure was on when the frame arrived, and has not ended yet".to_owned());
+        }
         if self.known.shots.len() == 0 {
             return none(vec![NO_EXPOSURE.to_owned()]);
         }
@@ -67,6 +70,12 @@ impl Weighed<'_> {
             }
             None => self.without_stamp(&candidates, prompt, words),
         }
+    }
+
+    /// Whether the frame came while an exposure was on that still is.
+    fn came_before_the_end(&self) -> bool {
+        let open = self.timeline.exposure_tracker().open();
+        open.zip(self.pending.evidence.arrival_us).is_some_and(|(open, arrival_us)| was_on(open, arrival_us))
     }
 
     /// Exposures that the counter allows, and what is to be said of it.
@@ -192,7 +201,11 @@ impl Weighed<'_> {
                 || fresh && prompt.len() == 1 && self.timely(*at) && !(0..*at).any(waits)
                 || fresh && self.orderly(*at, *firmness, prompt);
             if prompt.contains(at) && proved && !self.contested(*at, counter) {
-                words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
+                let was = match self.known.was_on_for(said, *at) {
+                    true => "was on when",
+                    false => "ended shortly before",
+                };
+                words.push(format!("counter {counter} names {}, which {was} the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
             // An exposure right before the arrival competes: always, if the frame came promptly for either; else unless the counter is

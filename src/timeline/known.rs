@@ -11,6 +11,8 @@ use super::shots::Shots;
 
 /// A stamp at a whole one of these may be all that the console writes.
 pub(super) const MINUTE_US: i64 = 60_000_000;
+/// Frames that take part in an agreement: the latest.
+const VOTERS: usize = 48;
 /// An offset is used from so many frames on.
 pub(super) const KNOWN_FRAMES: u32 = 2;
 
@@ -20,9 +22,18 @@ pub(super) struct Pending {
     pub evidence: FrameEvidence,
     /// Exposures after which it arrived promptly, once telemetry has reached its arrival.
     pub prompt: Option<Vec<usize>>,
+    /// Index of the exposure that was on at its arrival and has not ended yet: it may be of that one.
+    pub running: Option<u64>,
     pub binding: Binding,
     /// Images of the same run, itself not.
     pub images: Vec<u32>,
+}
+
+impl Pending {
+    /// Its exposures are still to be met.
+    pub fn new(evidence: FrameEvidence, binding: Binding) -> Self {
+        Self { evidence, prompt: None, running: None, binding, images: Vec::new() }
+    }
 }
 
 /// What is known so far.
@@ -151,6 +162,25 @@ impl Known {
             times.iter().max().zip(times.iter().min()).is_some_and(|(last, first)| last.saturating_sub(*first) >= OCCASION_US)
         };
         strange > 1 || others.values().any(apart)
+    }
+
+    /// Takes the frame among those that agreements are made of.
+    pub fn vote(&mut self, frame: u32) {
+        self.voters.push(frame);
+        if self.voters.len() > VOTERS {
+            self.voters.remove(0);
+        }
+    }
+
+    /// Whether the frame came before the exposure at `at` had ended.
+    pub fn was_on_for(&self, said: &FrameEvidence, at: usize) -> bool {
+        said.arrival_us.is_some_and(|arrival_us| arrival_us < self.shots.get(at).over_us)
+    }
+
+    /// Whether the frame's counter is the number of the exposure at `at`, the C-arm's own or by a shift that frames have shown.
+    pub fn counter_names(&self, said: &FrameEvidence, at: usize) -> bool {
+        let shift = said.counter.zip(self.shots.number(at)).map(|(counter, number)| i64::from(counter) - number);
+        shift.is_some_and(|shift| self.shots.counted && shift == 0 || self.counting.knows(shift))
     }
 
     /// Whether any offset that is known, at that time, allows the pair.

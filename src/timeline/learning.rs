@@ -44,7 +44,9 @@ impl Known {
                 let at = self.shots.get(shot);
                 let taken = at.frame.is_some_and(|frame| frame != said.frame);
                 let elsewhere = pending.binding.exposure.as_ref().is_some_and(|exposure| exposure.index != at.index);
-                if taken || elsewhere {
+                // Late frames come while another exposure is on: with some shift or offset two of them always agree.
+                let early = self.was_on_for(said, shot) && !self.counter_names(said, shot);
+                if taken || elsewhere || early {
                     continue;
                 }
                 let number = self.shots.number(shot);
@@ -239,7 +241,10 @@ impl Known {
             }
             let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
             let evidence = vec![
-                format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
+                match late_us {
+                    0.. => format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
+                    _ => format!("{} was on when the frame arrived", exposure.label()),
+                },
                 format!(
                     "its counter differs from the exposure's number by {}, as that of other prompt frames",
                     member.shift.unwrap_or(0)

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::console::Pair;
 use super::exposure::{ExposureInterval, ExposureTracker};
 
-/// Arrivals from this long after the end of an exposure …
+/// Arrivals from this long after the end of an exposure (or, of a picture stored while the beam is on, after its begin) …
 const LEAST_DELAY_US: i64 = 50_000;
 /// … up to this long are prompt.
 pub(super) const PROMPT_US: i64 = 6_000_000;
@@ -36,11 +36,17 @@ pub(super) struct Shot {
     pub whole: bool,
     /// The frame that has it.
     pub frame: Option<u32>,
-    /// Frames that arrived promptly after it.
+    /// Frames that arrived promptly after it, or while it was on.
     pub prompt_frames: u32,
 }
 
 impl Shot {
+    /// Whether it was over at `us`, as far as telemetry can tell.
+    fn has_ended(&self, us: i64) -> bool {
+        // Slow telemetry may show the end of an exposure only after its frame came.
+        self.end_us.min(self.over_us.saturating_add(SLACK_US)) <= us
+    }
+
     /// What a stamp with this resolution says of the console's offset if it is of this exposure.
     pub(super) fn pair(&self, console_us: i64, resolution_us: i64) -> Pair {
         Pair::of(console_us, resolution_us, [self.start_us, self.begun_us], [self.over_us, self.end_us])
@@ -148,9 +154,22 @@ impl Shots {
     /// Positions of exposures after which an arrival at `arrival_us` is prompt.
     pub(super) fn prompt(&self, arrival_us: i64) -> Vec<usize> {
         let (from_us, to_us) = (arrival_us.saturating_sub(PROMPT_US), arrival_us.saturating_sub(LEAST_DELAY_US));
-        // Slow telemetry may show the end of an exposure only after its frame came.
-        let ended = |shot: &Shot| shot.end_us >= from_us && shot.end_us.min(shot.over_us.saturating_add(SLACK_US)) <= to_us;
-        self.touching(from_us, to_us).filter(|at| ended(&self.list[*at])).collect()
+        self.touching(from_us, to_us).filter(|at| self.list[*at].has_ended(to_us)).collect()
+    }
+
+    /// Position of the exposure that was on at `arrival_us`, or had ended only just then.
+    pub(super) fn on_at(&self, arrival_us: i64) -> Option<usize> {
+        let to_us = arrival_us.saturating_sub(LEAST_DELAY_US);
+        let on = |shot: &Shot| shot.begun_us <= to_us && !shot.has_ended(to_us);
+        self.touching(to_us.saturating_sub(PROMPT_US), to_us).filter(|at| on(&self.list[*at])).last()
+    }
+
+    /// Whether a frame that came while the exposure at this position was on may be of it: consoles export the first image, or the last pulses,
+    /// before the beam ends. A late frame of an exposure before is more likely, as long as one waits for its frame: the one right before, or
+    /// one of those after which the arrival is `prompt`.
+    pub(super) fn may_come_early(&self, at: usize, prompt: &[usize]) -> bool {
+        let waits = |other: usize| self.list.get(other).is_some_and(|shot| shot.frame.is_none() && shot.prompt_frames == 0);
+        !prompt.iter().copied().chain(at.checked_sub(1)).any(waits)
     }
 
     /// Whether an exposure is still to be taken that is over, or of which only the counter tells.
@@ -159,4 +178,10 @@ impl Shots {
         tracker.is_ending()
             || last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
     }
+}
+
+/// Whether the exposure, which has not ended yet, was on at `arrival_us`, for long enough that a picture of it may have come.
+pub(super) fn was_on(open: &ExposureInterval, arrival_us: i64) -> bool {
+    let begun_us = open.start_us.saturating_add(open.start_uncertainty_us as i64);
+    begun_us.saturating_add(LEAST_DELAY_US) <= arrival_us
 }

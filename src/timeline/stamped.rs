@@ -175,10 +175,7 @@ impl Weighed<'_> {
             let resolution_us = self.known.resolution_us(said);
             let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
             let near = self.known.shots.touching(from_us, to_us);
-            let causal = |at: &usize| {
-                let over_us = self.known.shots.get(*at).over_us;
-                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
-            };
+            let causal = |at: &usize| !self.known.was_on_for(said, *at) || self.may_come_early(said, *at);
             let fitting: Vec<usize> = near
                 .filter(causal)
                 .filter(|at| self.known.pair(said, *at).is_some_and(|pair| self.known.allowed(&pair)))
@@ -194,6 +191,13 @@ impl Weighed<'_> {
             }
         }
         found
+    }
+
+    /// Whether the frame, which came while the exposure at `at` was on, may be of it: counter or arrival have to say so.
+    fn may_come_early(&self, said: &FrameEvidence, at: usize) -> bool {
+        let on = said.arrival_us.is_some_and(|arrival_us| self.known.shots.on_at(arrival_us) == Some(at));
+        let prompt = self.known.frames.get(&said.frame).and_then(|pending| pending.prompt.as_deref()).unwrap_or_default();
+        on && (self.known.counter_names(said, at) || prompt.contains(&at))
     }
 
     /// Telemetry has passed the time, or will not any more.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::counted::UNTOLD_BEAM_US;
 use super::exposure::ExposureInterval;
 use crate::acquire::FrameTags;
 use crate::geometry::CarmJoints;
@@ -306,7 +307,9 @@ impl Binding {
     /// Until when telemetry must have come for what is asked of it: the middle of the exposure, or the last image held.
     #[must_use]
     pub fn asks_until_us(&self) -> Option<i64> {
-        let mid_us = self.exposure.as_ref()?.mid_us();
+        let exposure = self.exposure.as_ref()?;
+        // From the count on, a beam may have been on for long.
+        let mid_us = if exposure.samples == 0 { exposure.mid_us().saturating_add(UNTOLD_BEAM_US / 2) } else { exposure.mid_us() };
         Some(self.time_us.filter(|_| self.is_of_last_image()).unwrap_or(mid_us))
     }
 

@@ -2,11 +2,9 @@
 //! is what the picture's header states, or not known.
 
 use super::Timeline;
-use super::evidence::{Binding, BindingFlag, GAP_LIMIT_US, MOVED_LIMITS, is_angle, seconds};
+use super::evidence::{Binding, BindingFlag, GAP_LIMIT_US, LONG_BEAM_US, MOVED_LIMITS, is_angle, seconds};
 use super::travel::Travel;
 
-/// A beam whose length nobody states was on for up to this long.
-pub(super) const UNTOLD_BEAM_US: i64 = 1_000_000;
 /// What a header states beyond these is no time of an exposure, ms.
 const STATED_MS: std::ops::RangeInclusive<f64> = 1.0..=60_000.0;
 
@@ -36,7 +34,8 @@ impl Binding {
     pub fn with_beam_length(mut self, timeline: &Timeline, exposure_ms: Option<f64>, arrival_us: i64) -> Self {
         let Some([from_us, count_us]) = self.counted_span_us(timeline) else { return self };
         let stated_us = exposure_ms.filter(|ms| STATED_MS.contains(ms)).map(|ms| (ms * 1e3).round() as i64);
-        let beam_us = stated_us.unwrap_or(UNTOLD_BEAM_US);
+        // No radiograph takes longer.
+        let beam_us = stated_us.unwrap_or(LONG_BEAM_US);
         let whole_us = count_us.saturating_add(beam_us);
         // It shows nothing of what came after it.
         let to_us = if (count_us..whole_us).contains(&arrival_us) { arrival_us } else { whole_us };
@@ -113,8 +112,8 @@ mod tests {
         let late_us = 9_000_000;
         for (exposure_ms, arrival_us, beam_us, words) in [
             (Some(400.0), late_us, 400_000, "header states 0.400 s"),
-            (None, late_us, UNTOLD_BEAM_US, "up to 1.000 s"),
-            (Some(0.0), late_us, UNTOLD_BEAM_US, "up to 1.000 s"),
+            (None, late_us, LONG_BEAM_US, "up to 1.000 s"),
+            (Some(0.0), late_us, LONG_BEAM_US, "up to 1.000 s"),
             // It came 0.3 s after the count.
             (None, 1_300_000, 300_000, "up to 1.000 s"),
         ] {

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::counted::UNTOLD_BEAM_US;
 use super::exposure::ExposureInterval;
 use crate::acquire::FrameTags;
 use crate::geometry::CarmJoints;
@@ -309,7 +308,7 @@ impl Binding {
     pub fn asks_until_us(&self) -> Option<i64> {
         let exposure = self.exposure.as_ref()?;
         // From the count on, a beam may have been on for long.
-        let mid_us = if exposure.samples == 0 { exposure.mid_us().saturating_add(UNTOLD_BEAM_US / 2) } else { exposure.mid_us() };
+        let mid_us = if exposure.samples == 0 { exposure.mid_us().saturating_add(LONG_BEAM_US / 2) } else { exposure.mid_us() };
         Some(self.time_us.filter(|_| self.is_of_last_image()).unwrap_or(mid_us))
     }
 

@@ -25,6 +25,7 @@ impl Bound {
     /// What `timeline`, or the exposure itself where the samples are gone, says about a frame that arrived at `arrival_us`.
     #[must_use]
     pub fn new(frame: Arc<Frame>, arrival_us: i64, binding: Binding, timeline: &Timeline) -> Self {
+        let binding = binding.with_beam_length(timeline, frame.tags.exposure_ms, arrival_us);
         let exposure = binding.exposure.as_ref();
         let mid_us = binding.time_us.or_else(|| exposure.map(|exposure| exposure.mid_us()));
         let joints_at =

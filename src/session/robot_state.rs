@@ -152,6 +152,9 @@ impl BoundRobot {
             state.cautions.extend(bent);
             state.cautions.extend(doubtful.then_some(RobotCaution::InMiddle { beam_us }));
         }
+        if let Some(span_us) = binding.counted_span_us(timeline) {
+            state.cautions.extend(bent(timeline, span_us));
+        }
         let tracked = timeline.tracker_from_base_at(mid_us).or_else(|| exposure.and_then(|exposure| exposure.tracker_from_base));
         Some(Self { state, tracked: tracked.map(|answer| (answer.value, answer.gap_us)) })
     }
@@ -180,8 +183,10 @@ impl BoundRobot {
 /// Whether the robot stood as it did at `mid_us` in all the time in which the frame may have been taken, where nobody knows when it was: an
 /// exposure that telemetry missed, or whose begin or end it missed, or a clock that may have stood still.
 fn stood_still(timeline: &Timeline, mid_us: i64, binding: &Binding) -> bool {
+    // A beam that a count began was on then: the robot that moved meanwhile is drawn, and that it did is said.
+    let is_counted = binding.counted_span_us(timeline).is_some();
     let unseen = binding.flags.iter().find_map(|flag| match flag {
-        BindingFlag::Unseen { within_us } => Some(*within_us / 2),
+        BindingFlag::Unseen { within_us } if !is_counted => Some(*within_us / 2),
         _ => None,
     });
     let (mut from_us, mut to_us) =

@@ -306,7 +306,9 @@ impl Binding {
     /// Until when telemetry must have come for what is asked of it: the middle of the exposure, or the last image held.
     #[must_use]
     pub fn asks_until_us(&self) -> Option<i64> {
-        let mid_us = self.exposure.as_ref()?.mid_us();
+        let exposure = self.exposure.as_ref()?;
+        // From the count on, a beam may have been on for long.
+        let mid_us = if exposure.samples == 0 { exposure.mid_us().saturating_add(LONG_BEAM_US / 2) } else { exposure.mid_us() };
         Some(self.time_us.filter(|_| self.is_of_last_image()).unwrap_or(mid_us))
     }
 

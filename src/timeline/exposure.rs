@@ -130,6 +130,8 @@ pub struct ExposureTracker {
     previous: Option<Seen>,
     silences: VecDeque<Silence>,
     first_us: Option<i64>,
+    /// Some sample had X-rays.
+    beam_seen: bool,
     /// The exposure that ended last was not counted yet.
     uncounted: bool,
     next_index: u64,
@@ -144,6 +146,7 @@ impl ExposureTracker {
         let (counter, xray_on) = (sample.exposure_counter, sample.xray_on);
         let now = Seen { device_us, segment, mapped_us, uncertainty_us, epoch, counter, xray_on };
         self.first_us.get_or_insert(mapped_us);
+        self.beam_seen |= xray_on;
         self.note_silence(&now);
         match self.open.as_mut().map(|open| (open.goes(&now), open)) {
             Some((Goes::On, open)) => open.extend(sample, now),
@@ -182,6 +185,12 @@ impl ExposureTracker {
     #[must_use]
     pub fn open(&self) -> Option<&ExposureInterval> {
         self.open.as_ref().map(|open| &open.interval)
+    }
+
+    /// Whether the C-arm has ever said that the beam is on: one that only counts does not.
+    #[must_use]
+    pub fn has_seen_beam(&self) -> bool {
+        self.beam_seen
     }
 
     /// Whether it will be known shortly that an exposure has ended.

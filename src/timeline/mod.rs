@@ -9,6 +9,7 @@ mod arrival;
 mod binder;
 mod clock;
 mod console;
+mod counted;
 mod counting;
 mod evidence;
 mod exposure;

@@ -7,6 +7,11 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use sidecarm::record::{read_log, topic};
 
+/// As a table has it.
+fn cell(value: &Value) -> String {
+    value.to_string()
+}
+
 use crate::acquire_identity::hits;
 use crate::live_lab::Heard;
 use crate::log_lab::{
@@ -272,11 +277,11 @@ fn tables_hold_what_the_log_holds() {
     assert_eq!(poses.len(), frames.len());
     let mut solved = 0;
     for (row, frame) in poses.iter().zip(frames) {
-        assert!(row["frame"] == frame["number"].to_string() && row["label"] == frame["label"], "{row:?} {frame}");
+        assert!(row["frame"] == cell(&frame["number"]) && row["label"] == frame["label"], "{row:?} {frame}");
         let Some(pose) = frame["pose"].as_object().filter(|pose| pose["accepted"] == true) else { continue };
         let bound = exposures.iter().find(|exposure| exposure["number"] == row["exposure"]).expect("an exposure");
         let turned = number(row, "orbital_deg") - number(bound, "orbital_deg");
-        assert!(row["pose_source"] == "beads" && row["rms_px"] == pose["rms_px"].to_string() && turned.abs() < 1e-9, "{row:?}");
+        assert!(row["pose_source"] == "beads" && row["rms_px"] == cell(&pose["rms_px"]) && turned.abs() < 1e-9, "{row:?}");
         assert!(row["status"].starts_with("accepted") && !row["intrinsics_source"].is_empty(), "{row:?}");
         // P = K camera_from_lps, row by row.
         for column in 0..4 {
@@ -300,10 +305,7 @@ fn tables_hold_what_the_log_holds() {
     let scores = table(&out.join("scores.csv"));
     assert_eq!(scores.len(), frames.len());
     for row in scores.iter().chain(&beads) {
-        assert!(
-            frames.iter().any(|frame| row["frame"] == frame["number"].to_string() && row["label"] == frame["label"]),
-            "{row:?}"
-        );
+        assert!(frames.iter().any(|frame| row["frame"] == cell(&frame["number"]) && row["label"] == frame["label"]), "{row:?}");
     }
     let accepted: Vec<_> = scores.iter().filter(|row| row["status"] == "accepted").collect();
     assert!(

@@ -55,6 +55,7 @@ mod triangle;
 mod twin;
 mod unseen;
 mod verdict;
+mod why_refused;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;

@@ -81,5 +81,5 @@ pub use together::{
 };
 pub use triangle::align as align_triangles;
 pub use unseen::{Unseen, UnseenBy, WorstBead};
-pub use verdict::extents_mm;
+pub use verdict::{extents_mm, span_mm};
 pub use with_tags::register_tagged;

@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::record::Pose;
 use super::refusal::{MORE_SHADOWS, Refusal};
 use super::register::intrinsics_of;
+use super::verdict::span_mm;
 use crate::acquire::Frame;
 
 /// Beads on a specimen that a C-arm sees lie at least so far apart, and at most, mm.
@@ -40,8 +41,7 @@ impl Pose {
     /// That the beads lie nearer together, or farther apart, than on any specimen.
     fn other_unit(&self) -> Option<String> {
         let places: Vec<DVec3> = self.beads.iter().filter(|bead| !bead.check).map(|bead| bead.lps_mm).collect();
-        let pairs = places.iter().enumerate().flat_map(|(n, one)| places[n + 1..].iter().map(move |other| one.distance(*other)));
-        let span_mm = pairs.max_by(f64::total_cmp).filter(|mm| *mm > 0.0)?;
+        let span_mm = Some(span_mm(&places)).filter(|mm| *mm > 0.0)?;
         let (least, most) = PLAUSIBLE_SPAN_MM;
         let (unit, key) = match span_mm {
             mm if mm < METRES_BELOW_MM => ("metres", "m"),

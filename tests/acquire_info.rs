@@ -79,6 +79,35 @@ fn what_a_bead_s_description_probably_means_is_said() {
     assert!(file("right.mrk.json", "radius_mm=0.75").get("doubts").is_none(), "the control");
 }
 
+/// Nothing said of beads in metres that they lie within less than a millimetre.
+#[test]
+fn how_far_beads_reach_is_said() {
+    let folder = tempfile::tempdir().expect("folder");
+    let point = |name: &str, x: f64| format!(r#"{{"label": "{name}", "position": [{x}, 2, 3]}}"#);
+    let points = [point("a", 0.0), point("b", 30.0), point("c", 60.0)].join(", ");
+    let text = format!(r#"{{"markups": [{{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [{points}]}}]}}"#);
+    let facts = examine(&write(folder.path(), "beads.mrk.json", &text)).expect("known").facts;
+    assert_eq!((&facts["beads"], &facts["span_mm"]), (&serde_json::json!(3), &serde_json::json!(60.0)));
+    // √((30² + 0 + 30²) / 3)
+    assert_eq!(facts["extents_mm"], serde_json::json!([24.495, 0.0, 0.0]));
+    assert!(facts["extent"].as_str().is_some_and(|words| words.contains("3 beads, 60 mm between")), "{facts:?}");
+}
+
+/// Counts kept as floats were not saturated where the same picture in 16 bits was.
+#[test]
+fn floats_that_end_in_a_spike_at_the_end_of_digits_are_saturated_there() {
+    let folder = tempfile::tempdir().expect("folder");
+    let share = |full: f32| {
+        let path = folder.path().join("counts.tif");
+        let image = sidecarm::image::Image { width: 4, height: 2, pixels: vec![full, full, full, full, full, full, 100.5, 7.0] };
+        sidecarm::image::write_tiff_f32(&path, &[image]).expect("written");
+        let facts = examine(&path).expect("known").facts;
+        facts["images"][0]["clipping"]["saturated_share"].as_f64()
+    };
+    assert_eq!(share(65535.0), Some(0.75));
+    assert_eq!(share(65000.0), Some(0.0), "the control");
+}
+
 /// A label with a comma was cut at it, and the column behind it was taken for the next; a spreadsheet's file was damaged.
 #[test]
 fn labels_in_quotes_are_listed_as_they_are_meant() {

@@ -88,7 +88,7 @@ pub fn check_within(folder: &Path, temporary: &Path) -> (Vec<(String, String, St
 type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
 
 /// Faults of files: name, how, the check that names it, its level, words that it uses.
-const FILE_FAULTS: [Fault; 18] = [
+const FILE_FAULTS: [Fault; 19] = [
     (
         "ras",
         |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
@@ -112,7 +112,20 @@ const FILE_FAULTS: [Fault; 18] = [
         "fail",
         &["shifted by (14.0, 0.0, -9.0) mm"],
     ),
-    ("metres", |lab| move_beads(lab, |p| p.map(|v| v * 1e-3)), "bead units", "fail", &["metres", "millimetres"]),
+    (
+        "metres",
+        |lab| move_beads(lab, |p| p.map(|v| v * 1e-3)),
+        "bead units",
+        "fail",
+        &["metres", "millimetres", "\"coordinateUnits\": \"m\""],
+    ),
+    (
+        "centimetres",
+        |lab| move_beads(lab, |p| p.map(|v| v * 0.1)),
+        "beads and spheres",
+        "fail",
+        &["they were in centimetres", "\"coordinateUnits\": \"cm\""],
+    ),
     (
         "other specimen",
         |lab| {
@@ -207,7 +220,7 @@ const FILE_FAULTS: [Fault; 18] = [
 ];
 
 /// Those that one run of the check can name beside each other: neither hides the other, and different checks find them.
-const TOGETHER: [&[&str]; 10] = [
+const TOGETHER: [&[&str]; 11] = [
     &["ras", "kvp"],
     &["lps", "out"],
     &["mirrored", "among frames"],
@@ -217,6 +230,7 @@ const TOGETHER: [&[&str]; 10] = [
     &["other specimen", "size"],
     &["sid", "misspelt"],
     &["pitch"],
+    &["centimetres"],
     &["room"],
 ];
 

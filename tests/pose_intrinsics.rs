@@ -181,6 +181,7 @@ fn the_file_of_k_may_state_how_sure_it_is() {
         (r#", "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5}"#, "without pitch_mm"),
         (r#", "pitch_mm": 0.3, "sigma": {"source_to_detector_mm": 0, "principal_point_px": 5}"#, "sigma.source_to_detector_mm"),
         (r#", "pitch_mm": 0.3, "sigma": {"source_to_detector_mm": 3, "principal_point_px": -5}"#, "sigma.principal_point_px"),
+        (r#", "pitch_mm": 0.0003"#, "is in metres?"),
         (r#", "pitch_mm": 0.3, "sigma": {"sid_mm": 3, "principal_point_px": 5}"#, "unknown field"),
     ];
     for (rest, expected) in bad {

@@ -191,6 +191,19 @@ fn counts_are_whole_clipped_and_saturated() {
     let full = smooth.pixels.iter().filter(|value| **value >= 510.5).count();
     assert!(full > 2000 && nine.pages[0].pixels.iter().filter(|value| **value == 511.0).count() == full);
     assert!(nine.notes.iter().any(|note| note.contains(&format!("{full} pixels are saturated at 511"))), "{:?}", nine.notes);
+    // 0.9 · 511 / 1000: what saturates nearly everything was a note among others.
+    let warned = |scene: &Scene| {
+        let reporter = Reporter::silent();
+        let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("device");
+        let rendered = renderer.render(scene, &Options { quantity: Quantity::Counts, ..Options::default() }).expect("renders");
+        let words = reporter.warnings().get("saturated").map(|warning| warning.latest.clone());
+        assert!(words.iter().all(|words| rendered.notes.contains(words)), "{words:?}: {:?}", rendered.notes);
+        words
+    };
+    assert!(warned(&scene).is_some_and(|words| words.ends_with(": a detector.gain of 4.6e-1 fits, it is 1")));
+    scene.detector.gain = 0.46;
+    assert_eq!(warned(&scene), None, "the gain that fits");
+    scene.detector.gain = 1.0;
     scene.detector.panel.bits = None;
     scene.detector.panel.saturation = Some(0.5);
     (scene.detector.gain, scene.detector.offset) = (2.0, 10.0);

@@ -66,6 +66,20 @@ fn the_example_loads() {
     assert_eq!(scene.inputs.len(), 2, "the scene and the robot's model: {:?}", scene.inputs);
 }
 
+/// A picture of exchanged sides was rendered without a word.
+#[test]
+fn a_size_that_is_written_rows_first_is_doubted() {
+    let warned = |size_px: [u32; 2]| {
+        let (mut value, reporter) = (example(), Reporter::silent());
+        value["view"]["size_px"] = json!(size_px);
+        load_with(&value, true, &reporter).expect("good");
+        reporter.warnings().get("size_px").map(|warning| warning.latest.clone())
+    };
+    assert!(warned([480, 620]).is_some_and(|words| words.ends_with("size_px is [columns, rows]: swapped?")));
+    // As it is, and a part of a picture whose middle is elsewhere either way.
+    assert_eq!((warned([620, 480]), warned([620, 300])), (None, None));
+}
+
 #[test]
 fn robots_bend_move_and_clamp() {
     let reporter = Reporter::silent();

@@ -207,7 +207,8 @@ struct Raw {
     turned_about: Option<f64>,
     unmirrored: bool,
     tags: FrameTags,
-    /// The smallest and largest value that could have been stored, after conversion; `None` for floats.
+    /// The smallest and largest value that could have been stored, after conversion; `None` for floats, unless they end in a
+    /// spike at the highest value of digits.
     scale_ends: Option<[f32; 2]>,
     /// Pixels that are NaN because the file calls them padding.
     padded: usize,

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use image::DynamicImage;
 use tiff::tags::Tag;
 
-use super::{Fault, FrameTags, Raw, Settings, check_image, check_total, whole};
+use super::{Fault, FrameTags, PLATEAU_SHARE, Raw, Settings, check_image, check_total, whole};
 use crate::foreign::Limits;
 use crate::geometry::{ConsoleGeometry, Flip};
 use crate::image::{Image, WHITE_IS_ZERO};
@@ -76,9 +76,22 @@ pub(super) fn read_tiff(
         if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(fault)? == Some(WHITE_IS_ZERO) {
             from_white(&mut raw);
         }
+        raw.scale_ends = raw.scale_ends.or_else(|| ends_of_digits(&raw.pixels.pixels));
         take(raw)?;
     }
     Ok(())
+}
+
+/// Bits of a pixel's digits.
+const BITS: std::ops::RangeInclusive<u32> = 8..=16;
+
+/// The ends of the digits that values kept as floats were before, where they end in a spike at the highest of them.
+fn ends_of_digits(pixels: &[f32]) -> Option<[f32; 2]> {
+    let high = pixels.iter().copied().fold(f32::MIN, f32::max);
+    let is_end = BITS.map(|bits| ((1u32 << bits) - 1) as f32).any(|end| end == high);
+    let is_counted = is_end && pixels.iter().all(|value| !(*value < 0.0));
+    let spike = pixels.iter().filter(|value| **value == high).count();
+    (is_counted && spike as f64 >= PLATEAU_SHARE * pixels.len() as f64).then_some([0.0, high])
 }
 
 /// Says what the decoder did to values whose zero is white: it turned them round, integers about the ends of their type and floats about 1/2.

@@ -21,10 +21,11 @@ const MAGNIFICATION_TIMES: f64 = 1.25;
 const SHUTTER_SHARE: f64 = 0.07;
 
 impl Pose {
-    /// Doubts and cautions of an accepted pose, by what the header of its frame says. `is_undistorted`: places are those of the undistorted
-    /// picture.
+    /// Doubts and cautions of an accepted pose, by what the header of its frame says; with a refusal, what else may be its cause.
+    /// `is_undistorted`: places are those of the undistorted picture.
     pub fn hear_header(&mut self, frame: &Frame, is_undistorted: bool) {
         if !self.is_accepted() {
+            self.hear_refused(frame);
             return;
         }
         let tags = &frame.tags;

@@ -243,9 +243,9 @@ impl Case<'_> {
         }
         if cut_short {
             cautions.doubt(format!(
-                "so many of the {} shadows belong to no bead that not all could be tried for a second reading: narrow the collimator, or give \
-                 --bead-radius and --prior",
-                self.detections.len()
+                "so many of the {} shadows belong to no bead that not all could be tried for a second reading: {}",
+                self.detections.len(),
+                self.request.fewer_shadows(true)
             ));
         }
         self.hear(Reading::SecondSet, None, &hypothesis.camera_from_lps, Rejected::NotFound);

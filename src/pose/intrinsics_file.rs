@@ -10,6 +10,8 @@ use crate::geometry::Intrinsics;
 
 /// No pixel of a detector is larger.
 pub(super) const MOST_PITCH_MM: f64 = 100.0;
+/// Below this a pitch in mm was written in metres: no detector of X-rays has pixels that small.
+const METRES_BELOW_MM: f64 = 0.01;
 
 /// Whether pixels may be so far apart.
 #[must_use]
@@ -58,6 +60,9 @@ impl IntrinsicsFile {
         let good = |x: f64| x > 0.0 && x.is_finite();
         if let Some(pitch) = file.pitch_mm.filter(|pitch| !is_pitch(*pitch)) {
             return Err(form("pitch_mm", format!("pitch is {pitch} mm, it must be positive, at most {MOST_PITCH_MM} mm")));
+        }
+        if let Some(pitch) = file.pitch_mm.filter(|pitch| *pitch < METRES_BELOW_MM) {
+            return Err(form("pitch_mm", format!("pitch is {pitch} mm: pitch_mm {pitch} is in metres? write it in mm")));
         }
         let Some(IntrinsicsSigma { source_to_detector_mm, principal_point_px, pitch_mm }) = file.sigma else { return Ok(file) };
         for (key, sigma) in [("source_to_detector_mm", source_to_detector_mm), ("principal_point_px", principal_point_px)] {

@@ -55,6 +55,7 @@ mod triangle;
 mod twin;
 mod unseen;
 mod verdict;
+mod why_refused;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;
@@ -80,5 +81,5 @@ pub use together::{
 };
 pub use triangle::align as align_triangles;
 pub use unseen::{Unseen, UnseenBy, WorstBead};
-pub use verdict::extents_mm;
+pub use verdict::{extents_mm, span_mm};
 pub use with_tags::register_tagged;

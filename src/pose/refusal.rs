@@ -303,12 +303,15 @@ fn against_others(off_px: Option<f64>) -> String {
     }
 }
 
+/// What may bring more shadows into the picture.
+pub(super) const MORE_SHADOWS: &str = "open the collimator, raise the dose, or check --bead-radius";
+
 fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {
     match prior_puts_into_frame {
         Some([inside, all]) if inside * 2 < *all => format!(
             "by the prior (or telemetry) only {inside} of the {all} beads lie in the frame: aim at the beads, or check where the prior, or world_from_lps, puts them"
         ),
-        _ => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
+        _ => MORE_SHADOWS.to_owned(),
     }
 }
 

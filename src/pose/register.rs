@@ -202,8 +202,8 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
     let as_clear = placed(seen).skip(MOST_DETECTIONS).filter(|other| other.snr >= snr && other.quality >= quality).count();
     if pose.is_accepted() && as_clear >= RIVAL_SHADOWS {
         pose.doubt(format!(
-            "{as_clear} more shadows are as clear as those of the beads, and no match was sought among them: narrow the collimator, or give \
-             --bead-radius"
+            "{as_clear} more shadows are as clear as those of the beads, and no match was sought among them: {}",
+            request.fewer_shadows(false)
         ));
     }
     let tried = pose.shadows.len();
@@ -212,7 +212,8 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
     if more > 0 {
         pose.detections += more;
         pose.notes.push(format!(
-            "{more} more shadows, which look less like beads than the {MOST_DETECTIONS} others, were not tried: narrow the collimator, or give --bead-radius"
+            "{more} more shadows, which look less like beads than the {MOST_DETECTIONS} others, were not tried: {}",
+            request.fewer_shadows(false)
         ));
     }
     pose

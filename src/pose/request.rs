@@ -182,6 +182,17 @@ impl<'a> Registration<'a> {
         }
     }
 
+    /// What leaves fewer shadows to be tried, of that which is not given already; `or_prior`: a prior does too.
+    pub(super) fn fewer_shadows(&self, or_prior: bool) -> &'static str {
+        let is_sized = (0..self.layout.beads.len()).all(|bead| self.layout.radius_mm(bead, self.bead_radius_mm).is_some());
+        match (is_sized, or_prior && self.prior.is_none()) {
+            (true, false) => "narrow the collimator",
+            (true, true) => "narrow the collimator, or give --prior",
+            (false, false) => "narrow the collimator, or give --bead-radius (bead_radius_mm in a session)",
+            (false, true) => "narrow the collimator, or give --bead-radius (bead_radius_mm in a session) and --prior",
+        }
+    }
+
     /// Size of the beads' shadows.
     pub(super) fn expectation(&self) -> Expectation {
         Expectation { radius_px: self.radius_px(), ..Expectation::default() }
@@ -204,5 +215,20 @@ impl<'a> Registration<'a> {
         };
         let fold = |start: f64, f: fn(f64, f64) -> f64| radii.iter().copied().fold(start, f);
         Some((fx * fold(f64::INFINITY, f64::min) / far, fx * fold(0.0, f64::max) / near.max(1.0)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_given_already_is_not_advised() {
+        let layout = BeadLayout { beads: vec![Bead::new("a", DVec3::ZERO)], ..BeadLayout::none() };
+        let unsized_beads = Registration::new([64, 48], &layout);
+        assert!(unsized_beads.fewer_shadows(true).ends_with("--bead-radius (bead_radius_mm in a session) and --prior"));
+        let sized = Registration { bead_radius_mm: Some(0.75), ..unsized_beads };
+        assert_eq!(sized.fewer_shadows(true), "narrow the collimator, or give --prior");
+        assert_eq!(sized.fewer_shadows(false), "narrow the collimator");
     }
 }

@@ -55,8 +55,11 @@ impl std::fmt::Display for Unseen {
             UnseenBy::LeftOut => write!(f, "each bead is {rms_px:.3} px = {rms_mm:.3} mm (rms) from where the others put it")?,
         }
         match worst {
-            Some(WorstBead { name, off_px, off_sigmas, .. }) => {
-                write!(f, "; the worst is {name}, {off_px:.3} px, {off_sigmas:.1} σ")
+            Some(WorstBead { name, off_px, off_sigmas, used }) => {
+                // Check beads are what the rms is of; of all others it is of those that P rests on.
+                let is_aside = !used && *by == UnseenBy::LeftOut;
+                let which = if is_aside { "of the beads that are not used the farthest is" } else { "the worst is" };
+                write!(f, "; {which} {name}, {off_px:.3} px, {off_sigmas:.1} σ")
             }
             None => Ok(()),
         }
@@ -79,5 +82,24 @@ impl Unseen {
         };
         let worst = beads.iter().filter_map(worst).max_by(|a, b| a.off_sigmas.total_cmp(&b.off_sigmas));
         rms_px.is_finite().then_some(Self { by, beads: off_px.len(), rms_px, rms_mm: rms_px * mm_per_px, worst })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A bead 24 px off, which P does not rest on, was called the worst of those that are 0.2 px off.
+    #[test]
+    fn a_bead_that_is_not_used_is_no_worst_of_those_that_are() {
+        let words = |by, used| {
+            let worst = Some(WorstBead { name: "B06".to_owned(), off_px: 24.063, off_sigmas: 17.2, used });
+            Unseen { by, beads: 8, rms_px: 0.206, rms_mm: 0.035, worst }.to_string()
+        };
+        let aside = words(UnseenBy::LeftOut, false);
+        assert!(aside.ends_with("; of the beads that are not used the farthest is B06, 24.063 px, 17.2 σ"), "{aside}");
+        for (by, used) in [(UnseenBy::LeftOut, true), (UnseenBy::CheckBeads, false)] {
+            assert!(words(by, used).contains("; the worst is B06, "));
+        }
     }
 }

@@ -82,21 +82,46 @@ pub(super) fn note_extrapolated(flood: &Flood, notes: &mut Vec<String>) {
     }
 }
 
-/// Says how many counts are clipped, where `counts` are made.
-pub(super) fn note_clipped(scene: &Scene, quantity: Quantity, page: &[f32], flood: &Flood, notes: &mut Vec<String>) {
+/// Share of saturated pixels that are no few bright ones: the gain is not that of the panel.
+const SATURATED_SHARE: f64 = 0.01;
+/// Where a gain that fits puts the unattenuated signal, of the highest count.
+const AIR_SHARE: f64 = 0.9;
+
+/// Says how many counts are clipped, where `counts` are made. The note again where so many are saturated that a person should be warned.
+pub(super) fn note_clipped(
+    scene: &Scene,
+    quantity: Quantity,
+    page: &[f32],
+    flood: &Flood,
+    notes: &mut Vec<String>,
+) -> Option<String> {
     let panel = &scene.detector.panel;
     if quantity != Quantity::Counts || (panel.saturation.is_none() && panel.bits.is_none()) {
-        return;
+        return None;
     }
-    let (lowest, highest) = super::detector::limits(scene, flood.photons_per_pixel * flood.principal_response);
+    let air = flood.photons_per_pixel * flood.principal_response;
+    let (lowest, highest) = super::detector::limits(scene, air);
     let saturated = page.iter().filter(|count| f64::from(**count) >= highest).count();
     let empty = page.iter().filter(|count| f64::from(**count) <= lowest).count();
+    let is_warned = saturated as f64 > SATURATED_SHARE * page.len() as f64;
     if saturated > 0 {
-        notes.push(format!("{saturated} pixels are saturated at {highest} counts"));
+        let fits = AIR_SHARE * (highest - scene.detector.offset) / air;
+        let remedy = match panel.saturation {
+            _ if !is_warned => String::new(),
+            // It is told in units of the unattenuated signal, whatever the gain.
+            Some(most) if most < 1.0 || panel.bits.is_none() => {
+                format!(": detector.saturation is {most} of the unattenuated signal")
+            }
+            _ if fits > 0.0 => format!(": a detector.gain of {fits:.1e} fits, it is {}", scene.detector.gain),
+            _ => format!(": no gain fits detector.offset {}", scene.detector.offset),
+        };
+        notes.push(format!("{saturated} pixels are saturated at {highest} counts{remedy}"));
     }
+    let warned = if is_warned { notes.last().cloned() } else { None };
     if panel.bits.is_some() && empty > 0 {
         notes.push(format!("{empty} pixels are at 0 counts, the lowest that there is"));
     }
+    warned
 }
 
 /// Each ingredient of beam and panel: modelled, not given, or left out with its bound.

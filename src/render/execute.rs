@@ -188,7 +188,9 @@ impl Renderer {
                     }
                     detector::page(scene, plan.quantity, &line, &noise, &flood)
                 });
-                chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes);
+                if let Some(words) = chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes) {
+                    self.reporter.warn("saturated", words);
+                }
                 vec![image(page)]
             }
         };

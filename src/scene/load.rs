@@ -96,6 +96,9 @@ fn load_bytes(
             check_distance(seen.view.intrinsics.source_to_detector_mm(detector.pitch_mm), &files)?;
             by_projection = seen.by_projection;
             check_intensifier(&detector, seen.view.size_px, &files)?;
+            if let Some(words) = view::swapped_size(&seen.view) {
+                reporter.warn("size_px", words);
+            }
             Some(seen.view)
         }
         None if need_view => {

@@ -77,6 +77,26 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
     Ok(Resolved { by_projection, ..resolved })
 }
 
+/// A principal point farther from the middle than this share of the size is looked at, and is in the middle within the second.
+const OFF_MIDDLE: f64 = 0.1;
+const IN_MIDDLE: f64 = 0.02;
+
+/// That the principal point, far from the middle, would be there if columns and rows were exchanged.
+pub(super) fn swapped_size(view: &View) -> Option<String> {
+    let [columns, rows] = view.size_px;
+    let (cx, cy) = (view.intrinsics.cx, view.intrinsics.cy);
+    let off = |[width, height]: [u32; 2]| {
+        let of_side = |at: f64, side: u32| ((at + 0.5) / f64::from(side) - 0.5).abs();
+        of_side(cx, width).max(of_side(cy, height))
+    };
+    (off([columns, rows]) > OFF_MIDDLE && off([rows, columns]) <= IN_MIDDLE).then(|| {
+        format!(
+            "the view's principal point ({cx:.1}, {cy:.1}) px is not in the middle of {columns} x {rows} px, but of {rows} x {columns}: \
+             size_px is [columns, rows]: swapped?"
+        )
+    })
+}
+
 /// Focal spot to panel of any C-arm; metres and centimetres lie outside.
 const DISTANCES_MM: (f64, f64) = (200.0, 5_000.0);
 /// A carriage goes no further from its zero.

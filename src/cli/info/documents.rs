@@ -2,12 +2,14 @@
 
 use std::path::Path;
 
+use glam::DVec3;
 use serde_json::{Map, Value, json};
 
 use super::cameras;
 use super::found::{Found, InfoError, object};
 use super::kinds::{COUNTED, recognise, shown};
 use crate::beads::parse_markups;
+use crate::pose::{extents_mm, span_mm};
 use crate::regular;
 use crate::table::{cells_of, unmarked};
 
@@ -95,14 +97,26 @@ fn adapter(map: &Map<String, Value>) -> Map<String, Value> {
     }))
 }
 
-/// `facts` of a list of points, and what the descriptions of beads probably mean and do not say.
+/// `facts` of a list of points, how far those that are beads reach, and what their descriptions probably mean and do not say.
 fn with_doubts(path: &Path, text: &str, mut facts: Map<String, Value>) -> Map<String, Value> {
     // Points that are no beads have no doubts either.
-    let doubts = parse_markups(path, text.as_bytes()).map(|layout| layout.doubts).unwrap_or_default();
-    if !doubts.is_empty() {
-        facts.insert("doubts".into(), doubts.into());
+    let Ok(layout) = parse_markups(path, text.as_bytes()) else { return facts };
+    let places: Vec<DVec3> = layout.beads.iter().map(|bead| bead.lps_mm).collect();
+    let (count, span_mm, extents_mm) = (places.len(), readable(span_mm(&places)), extents_mm(&places).map(readable));
+    let [first, second, third] = extents_mm;
+    let extent = format!(
+        "{count} beads, {span_mm} mm between the two farthest; {first} x {second} x {third} mm (standard deviations) along the principal axes"
+    );
+    facts.extend(object(json!({"beads": count, "span_mm": span_mm, "extents_mm": extents_mm, "extent": extent})));
+    if !layout.doubts.is_empty() {
+        facts.insert("doubts".into(), layout.doubts.into());
     }
     facts
+}
+
+/// A length in mm without the digits that nobody measured.
+fn readable(mm: f64) -> f64 {
+    (1e3 * mm).round() / 1e3
 }
 
 fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, InfoError> {

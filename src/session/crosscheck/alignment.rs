@@ -9,16 +9,16 @@ pub struct Mistake {
     axes: [usize; 3],
     /// Sign of each.
     signs: [f64; 3],
-    /// Of [`UNITS`] where the file holds another unit taken for millimetres.
+    /// 1000 where the file holds metres taken for millimetres: see `UNITS`.
     scale: f64,
     /// Added after all else, mm.
     shift_mm: DVec3,
 }
 
-/// Units that are taken for millimetres: how many of these they are, and what they are called.
-const UNITS: [(f64, &str); 3] = [(1000.0, "metres"), (10.0, "centimetres"), (0.001, "microns")];
-
 const NONE: Mistake = Mistake { axes: [0, 1, 2], signs: [1.0; 3], scale: 1.0, shift_mm: DVec3::ZERO };
+/// Units taken for millimetres: how many mm they are, their name, and what a markups file that is in them says.
+const UNITS: [(f64, &str, Option<&str>); 4] =
+    [(1000.0, "metres", Some("m")), (10.0, "centimetres", Some("cm")), (25.4, "inches", None), (0.001, "microns", None)];
 /// RAS taken for LPS, or the reverse.
 pub const SWAPPED: Mistake = Mistake { signs: [-1.0, -1.0, 1.0], ..NONE };
 
@@ -46,7 +46,9 @@ impl Mistake {
             (1 | 3, true) => words.push(format!("mirrored ({} negated)", negative.join(", "))),
             _ => words.push(format!("{} were negated", negative.join(", "))),
         }
-        words.extend(UNITS.iter().find(|(scale, _)| *scale == self.scale).map(|(_, unit)| format!("they were in {unit}")));
+        if let Some((unit, _)) = self.unit() {
+            words.push(format!("they were in {unit}"));
+        }
         if self.shift_mm != DVec3::ZERO {
             // Rounded first: −0.04 is no −0.0.
             let [x, y, z] = (-self.shift_mm).to_array().map(|mm| (mm * 10.0).round() / 10.0 + 0.0);
@@ -59,6 +61,12 @@ impl Mistake {
     #[must_use]
     pub fn is_swap(&self) -> bool {
         *self == SWAPPED
+    }
+
+    /// The unit that was taken for millimetres, and its name in a markups file, if it has one there.
+    #[must_use]
+    pub fn unit(&self) -> Option<(&'static str, Option<&'static str>)> {
+        UNITS.iter().find(|(mm, ..)| *mm == self.scale).map(|(_, name, key)| (*name, *key))
     }
 
     /// Whether it is a unit and nothing else about axes or signs.
@@ -81,7 +89,7 @@ pub fn mistakes() -> Vec<Mistake> {
     turned.retain(|mistake| *mistake != NONE);
     // The swap is by far the most frequent.
     turned.sort_by_key(|mistake| !mistake.is_swap());
-    let scaled = UNITS.into_iter().flat_map(|(scale, _)| [NONE, SWAPPED].map(|mistake| Mistake { scale, ..mistake }));
+    let scaled = UNITS.into_iter().flat_map(|(scale, ..)| [NONE, SWAPPED].map(|mistake| Mistake { scale, ..mistake }));
     let mut all: Vec<Mistake> = scaled.collect();
     all.extend(turned);
     all
@@ -253,7 +261,9 @@ mod tests {
             let found = align(&spoiled(mistake), &places(), &STRICT);
             assert_eq!(found, Alignment::Mistaken { mistake: *mistake, matched: 6, as_stated: 0 }, "{}", mistake.words());
         }
-        assert_eq!(all.len(), 53);
+        assert_eq!(all.len(), 55);
+        let units: Vec<_> = all.iter().filter_map(Mistake::unit).filter_map(|(_, key)| key).collect();
+        assert_eq!(units, ["m", "m", "cm", "cm"], "each with and without the swap");
         assert!(SWAPPED.words().contains("RAS and LPS") && SWAPPED.is_swap());
     }
 

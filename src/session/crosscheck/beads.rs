@@ -19,9 +19,6 @@ const REACH_MM: f64 = 8.0;
 const FAR_OUTSIDE_MM: f64 = 30.0;
 /// Layouts narrower than this were hardly meant in millimetres, nor wider than the second.
 const PLAUSIBLE_SPAN_MM: (f64, f64) = (3.0, 2000.0);
-/// The remedy for beads in another unit: the file says millimetres already, or nothing.
-const BEAD_UNITS: &str =
-    "name the unit of its numbers in the file (coordinateUnits \"m\", \"cm\" or \"um\"), or export the beads in millimetres";
 
 /// All checks of a layout against its scene.
 #[must_use]
@@ -54,10 +51,20 @@ fn remedy(mistake: &Mistake, stated: Option<&str>) -> String {
     };
     if mistake.is_swap() {
         format!("the file says {is} but its numbers are {other}: set its coordinateSystem to \"{other}\", or export it again")
-    } else if mistake.is_unit() {
-        BEAD_UNITS.to_owned()
+    } else if let Some((_, key)) = mistake.unit() {
+        unit_remedy(key)
     } else {
         "export the beads again from the CT that the scene names, in its own axes and without a transform".to_owned()
+    }
+}
+
+/// The remedy for beads in another unit, which a markups file calls `key` if it has a name for it.
+fn unit_remedy(key: Option<&str>) -> String {
+    match key {
+        Some(key) => {
+            format!("write \"coordinateUnits\": \"{key}\" into the file (.mrk.json), or export the beads in millimetres")
+        }
+        None => "export the beads in millimetres (coordinateUnits \"mm\")".to_owned(),
     }
 }
 
@@ -82,10 +89,10 @@ fn check_span(points: &[DVec3]) -> Option<Finding> {
     if span_mm >= least && span_mm <= most {
         return Some(Finding::pass("bead units", format!("{} beads over {span_mm:.0} mm", points.len())));
     }
-    let unit = if span_mm < least { "metres" } else { "microns" };
+    let (unit, key) = if span_mm < least { ("metres", Some("m")) } else { ("microns", None) };
     let detail =
         format!("{} beads lie within {span_mm:.3} mm of each other: they look like {unit} taken for millimetres", points.len());
-    Some(Finding::fail("bead units", detail, BEAD_UNITS))
+    Some(Finding::fail("bead units", detail, unit_remedy(key)))
 }
 
 fn against_spheres(scene: &Scene, layout: &BeadLayout, points: &[DVec3], stated: Option<&str>) -> Option<Finding> {

@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use sidecarm::record::{read_log, topic};
 
-/// As a table has it.
-fn cell(value: &Value) -> String {
-    value.to_string()
-}
-
 use crate::acquire_identity::hits;
 use crate::live_lab::Heard;
 use crate::log_lab::{
     CANARIES, SERIAL_NUMBERS, arrivals_us, count, entries, info, meddled, meddled_of_beads, recorded, replay, sidecarm, text,
 };
+
+/// As a table has it.
+fn cell(value: &Value) -> String {
+    value.to_string()
+}
 
 #[test]
 fn a_log_tells_what_is_in_it() {

@@ -139,6 +139,11 @@ impl Reporter {
         }
     }
 
+    /// How far something long is, which names no file: said at once, whatever is held.
+    pub fn announce(&self, message: impl std::fmt::Display) {
+        self.print(&message.to_string());
+    }
+
     /// All warnings so far, by kind.
     #[must_use]
     pub fn warnings(&self) -> BTreeMap<String, Counted> {

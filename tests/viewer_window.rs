@@ -245,6 +245,31 @@ fn keys_step_through_exposures_and_choose_what_is_shown() {
     assert!(!press(Key::Escape).contains("the exposure before"));
 }
 
+/// A replay listed the keys of edits and notes, which did nothing there.
+#[test]
+fn only_keys_that_do_something_are_listed() {
+    for editable in [true, false] {
+        let (mut harness, _) = window(BoardState { editable, ..board(vec![accepted(1)]) });
+        harness.key_press(Key::F1);
+        harness.run_steps(2);
+        let seen = said(&harness);
+        assert!(seen.contains("the exposure before"), "{seen}");
+        for words in ["write a note about this exposure", "edit the beads of this exposure, or stop", "stop editing"] {
+            assert_eq!(seen.contains(words), editable, "{words}: {seen}");
+        }
+    }
+}
+
+/// A replay at the pace of its session stood at "No frame yet" for minutes, and nobody saw that it went on.
+#[test]
+fn a_replay_without_a_frame_yet_shows_how_far_it_is() {
+    for replayed in [true, false] {
+        let seen = texts(BoardState { replayed, ..board(Vec::new()) });
+        assert_eq!(seen.contains("replayed up to "), replayed, "{seen}");
+        assert_eq!(seen.contains("No frame yet"), !replayed, "{seen}");
+    }
+}
+
 /// Space plays from the first exposure at the pace at which they came, and stops at the last.
 #[test]
 fn play_steps_at_the_recorded_pace() {

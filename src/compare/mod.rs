@@ -244,7 +244,7 @@ impl Compared {
         if !blind.is_empty() {
             self.comparison
                 .flags
-                .push(format!("not discriminating (a wrong pose scores at least as well): {}", blind.join(", ")));
+                .push(format!("{}: not discriminating (a wrong pose scores at least as well)", blind.join(", ")));
         }
         let full = &self.comparison.scores;
         let unknown: Vec<&str> = NULL_SCORES

@@ -15,6 +15,7 @@ use crate::infer::{InferError, NetworkDevice};
 use crate::memory;
 use crate::regular;
 use crate::reporter::{Progress, Reporter};
+use crate::time::Stopwatch;
 
 /// Changes when the same weights would say something else.
 const VERSION: u32 = 1;
@@ -23,6 +24,8 @@ const VERSION: u32 = 1;
 const KEPT: &str = "bone-";
 /// CTs whose bone is kept.
 const MOST_KEPT: usize = 16;
+/// Where no bar is shown, a line says how far it is as often as this.
+const TOLD_EVERY_MS: f64 = 10e3;
 
 /// A materials network, and what is asked of it.
 pub(super) struct BoneNetwork(LoadedMaterials);
@@ -73,7 +76,9 @@ impl BoneNetwork {
     }
 
     fn ask(&self, volume: &HuVolume<'_>, name: &str, reporter: &Reporter) -> Vec<bool> {
+        reporter.announce("asking the network for the bone of a CT: minutes on a processor, once; what it says is kept");
         let mut bar: Option<(&str, Progress, usize)> = None;
+        let mut silent = Stopwatch::start();
         self.0.bone(volume, &mut |pass, done, all| {
             if bar.as_ref().is_none_or(|(of, ..)| *of != pass.name) {
                 bar = Some((pass.name, reporter.progress(&format!("{name}: bone, {}", pass.name), all as u64), 0));
@@ -81,6 +86,10 @@ impl BoneNetwork {
             if let Some((_, bar, told)) = &mut bar {
                 bar.advance((done - *told) as u64);
                 *told = done;
+                if !bar.is_shown() && silent.ms() >= TOLD_EVERY_MS {
+                    silent = Stopwatch::start();
+                    reporter.announce(format_args!("bone, {}: {done} of {all}", pass.name));
+                }
             }
         })
     }

@@ -263,7 +263,7 @@ pub(super) fn words(pair: &PairView, editing: &Editing) -> String {
     };
     let what = chosen.bead.as_ref().map_or_else(|| "a shadow without a name".to_owned(), |bead| format!("bead {bead}"));
     let listed: Vec<String> =
-        names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{} {name}", n + 1)).collect();
+        names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{}: {name}", n + 1)).collect();
     format!(
         "EDITING {what}  ·  drag, or arrows and Enter, move it  ·  Delete drops it  ·  its name: {}  ·  Ctrl Z takes back  ·  Esc leaves",
         listed.join(", ")

@@ -35,6 +35,24 @@ pub(super) enum Command {
     Close,
 }
 
+/// Under which keys are listed.
+const GROUPS: [&str; 7] = ["exposures", "play", "panes", "view", "marks", "edit", "list"];
+
+impl Command {
+    /// One of [`GROUPS`].
+    fn group(self) -> &'static str {
+        match self {
+            Self::Step(_) | Self::Oldest | Self::Newest => "exposures",
+            Self::Play | Self::Speed(_) => "play",
+            Self::Arrange(_) | Self::Overlay(_) | Self::Opacity(_) => "panes",
+            Self::Zoom(_) | Self::Fit | Self::Pan(_) | Self::Window { .. } | Self::AutoWindow => "view",
+            Self::Toggle(_) => "marks",
+            Self::Edit(_) | Self::Note => "edit",
+            Self::Keys | Self::Close => "list",
+        }
+    }
+}
+
 /// A key and what it does.
 pub(super) struct Binding {
     pub(super) key: Key,
@@ -244,30 +262,38 @@ fn play(now_s: f64, board: &BoardState, state: &mut ViewState) {
     state.player.start(now_s, board.pairs[from].time_us);
 }
 
-/// The list, over everything.
-pub(super) fn show(ui: &mut Ui, state: &ViewState) {
+/// The list, over everything; without what only a session that goes on takes where it is not `editable`.
+pub(super) fn show(ui: &mut Ui, state: &ViewState, editable: bool) {
     if !state.shows_keys {
         return;
     }
     egui::Window::new("Keys").anchor(Align2::CENTER_CENTER, [0.0, 0.0]).collapsible(false).resizable(false).show(ui.ctx(), |ui| {
-        list(ui, "keys", KEYS.iter());
-        ui.label(RichText::new("While beads are edited, before all others:").size(BODY).color(TEXT));
-        list(ui, "keys of edits", EDIT_KEYS.iter().chain([&UNDO]));
-        let edit = "Mouse while beads are edited, in the acquired picture and the overlay: a click chooses, dragging a bead or a shadow moves it";
-        ui.label(RichText::new(edit).size(BODY).color(DIM));
+        let groups = GROUPS.iter().filter(|group| editable || **group != "edit");
+        let of = |group: &str| KEYS.iter().filter(|binding| binding.command.group() == group).collect::<Vec<_>>();
+        list(ui, "keys", groups.map(|&group| (group, of(group))));
+        if editable {
+            ui.label(RichText::new("While beads are edited, before all others:").size(BODY).color(TEXT));
+            list(ui, "keys of edits", [("", EDIT_KEYS.iter().chain([&UNDO]).collect())]);
+            let edit = "Mouse while beads are edited, in the acquired picture and the overlay: a click chooses, dragging a bead or a shadow moves it";
+            ui.label(RichText::new(edit).size(BODY).color(DIM));
+        }
         let mouse = "Mouse in a picture: wheel zooms, drag moves, right drag sets gray levels (up and down, left and right), double click shows the whole frame";
         ui.label(RichText::new(mouse).size(BODY).color(DIM));
     });
 }
 
-fn list<'a>(ui: &mut Ui, name: &str, bindings: impl Iterator<Item = &'a Binding>) {
-    egui::Grid::new(name).num_columns(6).spacing([14.0, 3.0]).show(ui, |ui| {
-        for (n, binding) in bindings.enumerate() {
-            if n > 0 && n % 3 == 0 {
+/// Three keys a row, each group in rows of its own behind its name.
+fn list<'a>(ui: &mut Ui, name: &str, groups: impl IntoIterator<Item = (&'static str, Vec<&'a Binding>)>) {
+    egui::Grid::new(name).num_columns(7).spacing([14.0, 3.0]).show(ui, |ui| {
+        for (group, bindings) in groups {
+            for (row, three) in bindings.chunks(3).enumerate() {
+                ui.label(RichText::new(if row == 0 { group } else { "" }).size(BODY).color(TEXT));
+                for binding in three {
+                    ui.label(RichText::new(binding.label()).size(BODY).color(TEXT));
+                    ui.label(RichText::new(binding.words).size(BODY).color(DIM));
+                }
                 ui.end_row();
             }
-            ui.label(RichText::new(binding.label()).size(BODY).color(TEXT));
-            ui.label(RichText::new(binding.words).size(BODY).color(DIM));
         }
     });
 }
@@ -283,6 +309,7 @@ mod tests {
             let keys: std::collections::BTreeSet<String> = table.iter().map(|binding| binding.label()).collect();
             assert_eq!(keys.len(), table.len());
         }
+        assert!(KEYS.iter().all(|binding| GROUPS.contains(&binding.command.group())), "every key is listed");
         let board = BoardState::default();
         let mut state = ViewState::default();
         run(Command::Overlay(Overlay::Checkerboard), 0.0, &board, &mut state);

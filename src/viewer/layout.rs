@@ -45,5 +45,5 @@ pub fn draw(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     });
     egui::Panel::top("tools").frame(bare(6, 3)).resizable(false).show(ui, |ui| toolbar::show(ui, board, state));
     egui::CentralPanel::default().frame(bare(4, 0)).show(ui, |ui| pictures::show(ui, board, state));
-    keys::show(ui, state);
+    keys::show(ui, state, board.editable);
 }

@@ -36,8 +36,8 @@ pub(super) fn chosen(painter: &Painter, placed: &Placed, pair: &PairView, state:
     painter.circle_stroke(at, reach, Stroke::new(2.5, CHOSEN));
     cross(painter, at, 7.0, CHOSEN);
     let listed: Vec<String> =
-        names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{} {name}", n + 1)).collect();
-    words(painter, at + vec2(reach + 4.0, reach + 4.0), Align2::LEFT_TOP, &listed.join("  "), CHOSEN);
+        names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{}: {name}", n + 1)).collect();
+    words(painter, at + vec2(reach + 4.0, reach + 4.0), Align2::LEFT_TOP, &listed.join("   "), CHOSEN);
 }
 
 /// Where P puts things, over the DRR.

@@ -30,7 +30,11 @@ const WINDOW_POINTS: f64 = 300.0;
 pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     let area = ui.available_rect_before_wrap();
     let Some(pair) = state.shown(board).map(Arc::clone) else {
-        let words = if board.frames_seen > 0 { "The first frame is being registered and rendered" } else { "No frame yet" };
+        let words = match (board.frames_seen, board.replayed) {
+            (0, false) => "No frame yet",
+            (0, true) => "The replay has not come to a frame yet",
+            _ => "The first frame is being registered and rendered",
+        };
         ui.centered_and_justified(|ui| ui.label(RichText::new(words).size(24.0).color(DIM)));
         return;
     };

@@ -32,7 +32,7 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
     if let Some(unseen) = &pose.unseen {
         let by = match unseen.by {
             UnseenBy::CheckBeads => "at check beads",
-            UnseenBy::LeftOut => "left out",
+            UnseenBy::LeftOut => "each left out",
         };
         row(ui, by, &in_px_and_mm(unseen.rms_px, Some(unseen.rms_mm)));
     }
@@ -48,7 +48,7 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
     uncertainty(ui, view);
     let words = view.cautions();
     for same in words.iter().take(FLAGS) {
-        ui.add(egui::Label::new(RichText::new(same[0]).size(SMALL).color(CAUTION)).truncate()).on_hover_text(same.join("\n"));
+        ui.add(egui::Label::new(RichText::new(same[0]).size(SMALL).color(CAUTION)).wrap()).on_hover_text(same.join("\n"));
     }
     if words.len() > FLAGS {
         let more = &words[FLAGS..];
@@ -93,7 +93,7 @@ fn at_beads(covariance: &Covariance) -> [f64; 3] {
 }
 
 fn in_px_and_mm(px: f64, mm: Option<f64>) -> String {
-    let mm = mm.map(|mm| format!(" = {mm:.2} mm")).unwrap_or_default();
+    let mm = mm.map(|mm| format!(" = {mm:.3} mm")).unwrap_or_default();
     format!("{px:.2} px{mm}")
 }
 

@@ -52,7 +52,11 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
 fn score(ui: &mut Ui, pair: &Pair, shown: &Shown) {
     let value = pair.scores.get(shown.name);
     let null = pair.null.get(shown.null);
-    let unit = if shown.name.ends_with("_mm") { " mm" } else { "" };
+    let unit = match shown.name.rsplit_once('_') {
+        Some((_, "mm")) => " mm",
+        Some((_, "nepers")) => " Np",
+        _ => "",
+    };
     let words = value.map_or_else(|| "not known".to_owned(), |value| format!("{}{unit}", fixed(value, 2)));
     let discriminates = null.is_none_or(|null| null.discriminating);
     let response = ui

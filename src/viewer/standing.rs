@@ -6,6 +6,7 @@ use super::theme::{BAD, BODY, CAUTION, DIM, INK, LINE, SMALL, TEXT, font, of_sta
 use super::told::{count, reason};
 use crate::session::board::{BoardState, PairView};
 use crate::session::edit::again;
+use crate::time::utc;
 
 /// Letters of the state where there is room; less where a word is long.
 const LARGEST: f32 = 50.0;
@@ -19,6 +20,8 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, pair: Option<&PairView>) {
         Some(pair) => of_pair(ui, board, pair),
         None => {
             let small = match board.frames_waiting {
+                // At the pace of the session the first exposure may be minutes away.
+                0 if board.replayed && board.now_us > 0 => format!("no exposure yet · replayed up to {}", utc(board.now_us)),
                 0 => "no exposure yet".to_owned(),
                 1 => "the first frame is being developed".to_owned(),
                 waiting => format!("{waiting} frames are being developed"),

@@ -110,7 +110,7 @@ fn an_accepted_pair_says_so_with_its_residuals_its_scores_and_its_latency() {
     for words in [
         "ACCEPTED",
         "frame 7",
-        "0.21 px = 0.05 mm",
+        "0.21 px = 0.050 mm",
         "acetabulum",
         "0.05 mm",
         "1.2 mm",

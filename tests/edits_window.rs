@@ -164,13 +164,15 @@ fn a_bead_is_moved_by_dragging_and_by_arrows() {
 }
 
 #[test]
-fn nothing_is_edited_in_a_replay_and_the_keys_are_listed() {
+fn nothing_is_edited_in_a_replay_and_its_keys_are_listed_in_a_session_alone() {
     let mut replay = Window::open(BoardState { replayed: true, ..board(vec![accepted(1)]) });
     replay.press(Modifiers::COMMAND, Key::E);
     assert!(!replay.state.borrow().editing.is_on() && !replay.said().contains("EDITING"));
-    let listed = replay.press(Modifiers::NONE, Key::F1).said();
+    let of_replay = replay.press(Modifiers::NONE, Key::F1).said();
+    let mut session = Window::open(BoardState { editable: true, ..board(vec![accepted(1)]) });
+    let of_session = session.press(Modifiers::NONE, Key::F1).said();
     for words in ["Ctrl E", "edit the beads of this exposure", "Ctrl Z", "what is chosen is no bead"] {
-        assert!(listed.contains(words), "{words}: {listed}");
+        assert!(of_session.contains(words) && !of_replay.contains(words), "{words}: {of_session} {of_replay}");
     }
 }
 

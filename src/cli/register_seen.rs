@@ -7,14 +7,9 @@ use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
 use crate::pose::{
-    IntrinsicsFile, IntrinsicsPrior, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of, read_console, solve_console,
-    whole_binning,
+    IntrinsicsFile, IntrinsicsPrior, OFF_HEADER, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of, off_header,
+    read_console, solve_console, whole_binning,
 };
-
-/// The focal length of a calibrated panel is hardly off by more than this share of what the frame's header says …
-const OFF_HEADER: f64 = 0.03;
-/// … nor by more standard deviations, where it is stated or solved with one.
-const OFF_SIGMAS: f64 = 3.0;
 
 /// What the console did.
 pub(super) struct Console {
@@ -149,24 +144,13 @@ impl Seen {
     }
 
     fn off_focal(&self, pose: &Pose, k: &Intrinsics) -> Option<String> {
-        let (header, ..) = intrinsics_of(&self.frame)?;
         let (whose, focal_px, sigma_px) = match (pose.intrinsics_source.as_deref(), &self.prior) {
-            (Some("given"), _) => ("given", k.fx, 0.0),
+            (Some("given"), _) => ("as given", k.fx, 0.0),
             // Solved K lies between what is stated and what the beads say, and hides how far the former is off.
-            (Some("solved with priors"), Some(prior)) => ("stated", prior.mean.fx, prior.focal_sigma_px),
-            _ => ("solved from the beads", k.fx, pose.intrinsics_sigma_px.map_or(0.0, |[sigma_px, ..]| sigma_px)),
+            (Some("solved with priors"), Some(prior)) => ("as stated", prior.mean.fx, prior.focal_sigma_px),
+            _ => ("as solved from the beads", k.fx, pose.intrinsics_sigma_px.map_or(0.0, |[sigma_px, ..]| sigma_px)),
         };
-        let off = focal_px / header.fx - 1.0;
-        let limit = OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx);
-        (!(off.abs() <= limit)).then(|| {
-            format!(
-                "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K as {whose} is {:.1} % {}: one of the two is not this panel's at this distance, and depth goes wrong by as much",
-                header.fx,
-                self.frame.tags.sid_mm.unwrap_or(f64::NAN),
-                100.0 * off.abs(),
-                if off > 0.0 { "longer" } else { "shorter" }
-            )
-        })
+        off_header(&self.frame, whose, focal_px, sigma_px)
     }
 
     /// The request for one frame.

@@ -6,6 +6,7 @@ use glam::DVec2;
 use super::isocentre::{DEPTH_TIMES, is_beyond, isocentre_of};
 use super::record::Pose;
 use super::refusal::taller_words;
+use super::register::intrinsics_of;
 use crate::acquire::{CollimatorTags, Frame, FrameTags};
 use crate::geometry::Intrinsics;
 use crate::mask::opening_in_frame;
@@ -19,6 +20,27 @@ const MAGNIFICATION_TIMES: f64 = 1.25;
 /// Share of the frame's longer side by which a shutter may be indicated elsewhere than it is: 2 % of the distance to the detector (21 CFR
 /// 1020.31), seen on a panel of three tenths of that.
 const SHUTTER_SHARE: f64 = 0.07;
+/// The focal length of a calibrated panel, and its pitch, are hardly off by more than this share of what the frame's header says …
+pub const OFF_HEADER: f64 = 0.03;
+/// … nor by more standard deviations, where it is stated or solved with one.
+const OFF_SIGMAS: f64 = 3.0;
+
+/// That `focal_px` ± `sigma_px`, of K `whose` it is, is not that of the frame's own header, where it has one.
+#[must_use]
+pub fn off_header(frame: &Frame, whose: &str, focal_px: f64, sigma_px: f64) -> Option<String> {
+    let (header, ..) = intrinsics_of(frame)?;
+    let off = focal_px / header.fx - 1.0;
+    (!(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx))).then(|| {
+        format!(
+            "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K {whose} is {:.1} % {}: one of the two is not this panel's at \
+             this distance, and depth goes wrong by as much",
+            header.fx,
+            frame.tags.sid_mm.unwrap_or(f64::NAN),
+            100.0 * off.abs(),
+            if off > 0.0 { "longer" } else { "shorter" }
+        )
+    })
+}
 
 impl Pose {
     /// Doubts and cautions of an accepted pose, by what the header of its frame says; with a refusal, what else may be its cause.

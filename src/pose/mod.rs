@@ -58,6 +58,7 @@ mod verdict;
 mod why_refused;
 mod with_tags;
 
+pub use by_header::{OFF_HEADER, off_header};
 pub use case::PRIOR_SIGMA;
 pub use edited::register_edited;
 pub use explained::{Explained, ExplainedPrior, FoundReading, PriorUse, Reading, Rejected, RejectedReading, Told};

@@ -2,11 +2,7 @@
 
 use crate::acquire::Frame;
 use crate::geometry::{ConsoleGeometry, Intrinsics};
-use crate::pose::{IntrinsicsFile, IntrinsicsPrior, intrinsics_of, whole_binning};
-
-/// K and a frame's header differ from here on, as in `register`: a share of the focal length, and K's own standard deviations.
-const OFF_HEADER: f64 = 0.03;
-const OFF_SIGMAS: f64 = 3.0;
+use crate::pose::{IntrinsicsFile, IntrinsicsPrior, off_header, whole_binning};
 
 /// K of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,18 +20,8 @@ pub struct StatedK {
 impl StatedK {
     /// That the frame's header has another focal length, where it has one: the detector may stand elsewhere than when K was measured.
     pub(super) fn off_header(&self, frame: &Frame) -> Option<String> {
-        let (header, ..) = intrinsics_of(frame)?;
         let sigma_px = self.prior.map_or(0.0, |prior| prior.focal_sigma_px);
-        let off = self.intrinsics.fx / header.fx - 1.0;
-        (!(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx))).then(|| {
-            format!(
-                "the frame's own header says a focal length of {:.0} px, K of the session is {:.1} % {}: one of the two is not this panel's at \
-                 this distance, and depth goes wrong by as much",
-                header.fx,
-                100.0 * off.abs(),
-                if off > 0.0 { "longer" } else { "shorter" }
-            )
-        })
+        off_header(frame, "of the session", self.intrinsics.fx, sigma_px)
     }
 }
 

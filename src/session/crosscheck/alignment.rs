@@ -18,7 +18,7 @@ pub struct Mistake {
 const NONE: Mistake = Mistake { axes: [0, 1, 2], signs: [1.0; 3], scale: 1.0, shift_mm: DVec3::ZERO };
 /// Units taken for millimetres: how many mm they are, their name, and what a markups file that is in them says.
 const UNITS: [(f64, &str, Option<&str>); 4] =
-    [(1000.0, "metres", Some("m")), (10.0, "centimetres", Some("cm")), (25.4, "inches", None), (0.001, "microns", None)];
+    [(1000.0, "metres", Some("m")), (10.0, "centimetres", Some("cm")), (25.4, "inches", None), (0.001, "microns", Some("um"))];
 /// RAS taken for LPS, or the reverse.
 pub const SWAPPED: Mistake = Mistake { signs: [-1.0, -1.0, 1.0], ..NONE };
 
@@ -69,10 +69,10 @@ impl Mistake {
         UNITS.iter().find(|(mm, ..)| *mm == self.scale).map(|(_, name, key)| (*name, *key))
     }
 
-    /// Whether it is a unit and nothing else about axes or signs.
+    /// Whether axes and signs are as they should be.
     #[must_use]
-    pub fn is_unit(&self) -> bool {
-        self.scale != 1.0
+    pub fn keeps_axes(&self) -> bool {
+        (self.axes, self.signs) == (NONE.axes, NONE.signs)
     }
 }
 
@@ -164,7 +164,7 @@ pub fn align(points: &[DVec3], places: &[DVec3], strictness: &Strictness) -> Ali
         }
     }
     // A shift alone explains more than a shift of something turned round, and is tried first.
-    let turned = std::iter::once(NONE).chain(single.iter().copied().filter(|mistake| !mistake.is_unit()));
+    let turned = std::iter::once(NONE).chain(single.iter().copied().filter(|mistake| mistake.unit().is_none()));
     let mut shifted =
         turned.filter_map(|mistake| best_shift(points, places, &mistake, strictness.tolerance_mm, single.len() + 1));
     let best = best.or_else(|| shifted.find(|(_, count)| *count >= required));
@@ -263,7 +263,7 @@ mod tests {
         }
         assert_eq!(all.len(), 55);
         let units: Vec<_> = all.iter().filter_map(Mistake::unit).filter_map(|(_, key)| key).collect();
-        assert_eq!(units, ["m", "m", "cm", "cm"], "each with and without the swap");
+        assert_eq!(units, ["m", "m", "cm", "cm", "um", "um"], "each with and without the swap");
         assert!(SWAPPED.words().contains("RAS and LPS") && SWAPPED.is_swap());
     }
 

@@ -6,6 +6,7 @@ use super::alignment::{Alignment, Mistake, Strictness, align, mistakes};
 use super::finding::Finding;
 use super::metal::{CtMetal, Specimen, bead_spheres, ct_metal};
 use crate::beads::{BeadLayout, says_ras};
+use crate::pose::span_mm;
 use crate::scene::Scene;
 use crate::session::file::Setup;
 
@@ -52,7 +53,10 @@ fn remedy(mistake: &Mistake, stated: Option<&str>) -> String {
     if mistake.is_swap() {
         format!("the file says {is} but its numbers are {other}: set its coordinateSystem to \"{other}\", or export it again")
     } else if let Some((_, key)) = mistake.unit() {
-        unit_remedy(key)
+        let of_unit = unit_remedy(key);
+        let of_both =
+            format!("{of_unit}; the file says {is} but its numbers are {other}: set its coordinateSystem to \"{other}\" as well");
+        if mistake.keeps_axes() { of_unit } else { of_both }
     } else {
         "export the beads again from the CT that the scene names, in its own axes and without a transform".to_owned()
     }
@@ -66,12 +70,6 @@ fn unit_remedy(key: Option<&str>) -> String {
         }
         None => "export the beads in millimetres (coordinateUnits \"mm\")".to_owned(),
     }
-}
-
-/// Diagonal of the box around `points`.
-fn span_mm(points: &[DVec3]) -> f64 {
-    let (low, high) = points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
-    (high - low).length()
 }
 
 /// What descriptions probably mean and do not say.
@@ -89,7 +87,7 @@ fn check_span(points: &[DVec3]) -> Option<Finding> {
     if span_mm >= least && span_mm <= most {
         return Some(Finding::pass("bead units", format!("{} beads over {span_mm:.0} mm", points.len())));
     }
-    let (unit, key) = if span_mm < least { ("metres", Some("m")) } else { ("microns", None) };
+    let (unit, key) = if span_mm < least { ("metres", Some("m")) } else { ("microns", Some("um")) };
     let detail =
         format!("{} beads lie within {span_mm:.3} mm of each other: they look like {unit} taken for millimetres", points.len());
     Some(Finding::fail("bead units", detail, unit_remedy(key)))
@@ -189,7 +187,9 @@ fn in_specimen(scene: &Scene, points: &[DVec3], stated: Option<&str>) -> Option<
     // Points that are all shrunk to one lie in anything: a wrong unit must show in their distances as well.
     let unit_shows = !(span_mm(points) >= least && span_mm(points) <= most);
     let likely = mistakes().into_iter().find(|mistake| {
-        (mistake.is_swap() || mistake.is_unit() && unit_shows) && near(Some(mistake)) as f64 >= 0.9 * n as f64 && 2 * inside <= n
+        (mistake.is_swap() || mistake.unit().is_some() && unit_shows)
+            && near(Some(mistake)) as f64 >= 0.9 * n as f64
+            && 2 * inside <= n
     });
     Some(match likely {
         Some(mistake) => {
@@ -207,4 +207,20 @@ fn in_specimen(scene: &Scene, points: &[DVec3], stated: Option<&str>) -> Option<
             "check these beads' positions, and that CT and beads are of the same specimen",
         ),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::alignment::SWAPPED;
+    use super::*;
+
+    /// Of beads in metres and the other system only the unit was told.
+    #[test]
+    fn a_remedy_names_both_the_unit_and_the_axes_where_both_are_wrong() {
+        let units: Vec<String> =
+            mistakes().iter().filter(|mistake| mistake.unit().is_some()).map(|mistake| remedy(mistake, None)).collect();
+        assert!(units[0].contains("\"m\"") && !units[0].contains("coordinateSystem"), "{}", units[0]);
+        assert!(units[1].contains("\"m\"") && units[1].contains("coordinateSystem to \"RAS\""), "{}", units[1]);
+        assert!(remedy(&SWAPPED, None).contains("coordinateSystem to \"RAS\""), "the control");
+    }
 }

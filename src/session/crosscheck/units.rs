@@ -23,12 +23,12 @@ const CT_EXTENT_MM: (f64, f64) = (2.0, 3000.0);
 /// Pitches that differ by more than this share are of different pixels.
 pub(super) const PITCH_SHARE: f64 = 0.02;
 
+/// Units taken for millimetres: how many mm they are.
+const UNITS: [(f64, &str); 3] = [(1000.0, "metres"), (10.0, "centimetres"), (0.001, "microns")];
+
 /// `value` in the unit in which it would be plausible.
 fn other_unit(value: f64, (low, high): (f64, f64)) -> Option<&'static str> {
-    [(1000.0, "metres"), (10.0, "centimetres"), (0.001, "microns")]
-        .into_iter()
-        .find(|(factor, _)| value * factor >= low && value * factor <= high)
-        .map(|(_, unit)| unit)
+    UNITS.into_iter().find(|(factor, _)| value * factor >= low && value * factor <= high).map(|(_, unit)| unit)
 }
 
 /// A plausible length, or the finding that it is none.
@@ -120,9 +120,7 @@ pub fn check_room(setup: &Setup, centre_lps_mm: Option<DVec3>) -> Option<Finding
         return Some(Finding::pass(CHECK, format!("{away_mm:.0} mm from the isocentre of an arm at zero")));
     }
     let scaled = |factor: f64| Rigid { translation_mm: factor * world_from_lps.translation_mm, ..world_from_lps };
-    let likely = [(1000.0, "metres"), (10.0, "centimetres"), (0.001, "microns")]
-        .into_iter()
-        .find(|(f, _)| apart(&scaled(*f)) <= IN_ROOM_MM);
+    let likely = UNITS.into_iter().find(|(f, _)| apart(&scaled(*f)) <= IN_ROOM_MM);
     let detail = format!("world_from_lps puts the specimen {away_mm:.0} mm from the isocentre of an arm at zero");
     Some(match likely {
         Some((_, unit)) => Finding::fail(

@@ -105,11 +105,12 @@ pub(super) fn note_clipped(
     let empty = page.iter().filter(|count| f64::from(**count) <= lowest).count();
     let is_warned = saturated as f64 > SATURATED_SHARE * page.len() as f64;
     if saturated > 0 {
+        // Below that the panel's own saturation ends the scale, which is told in units of the unattenuated signal, whatever the gain.
+        let is_of_bits = panel.bits.is_some_and(|bits| highest >= f64::from(bits).exp2() - 1.0);
         let fits = AIR_SHARE * (highest - scene.detector.offset) / air;
         let remedy = match panel.saturation {
             _ if !is_warned => String::new(),
-            // It is told in units of the unattenuated signal, whatever the gain.
-            Some(most) if most < 1.0 || panel.bits.is_none() => {
+            Some(most) if most < 1.0 || !is_of_bits => {
                 format!(": detector.saturation is {most} of the unattenuated signal")
             }
             _ if fits > 0.0 => format!(": a detector.gain of {fits:.1e} fits, it is {}", scene.detector.gain),

@@ -57,7 +57,10 @@ impl Pose {
 
     /// That K, as given, is not that of the frame's own header.
     fn other_focal(&self, frame: &Frame) -> Option<String> {
-        let (k, (header, ..)) = self.intrinsics.zip(intrinsics_of(frame))?;
+        // K that was solved for a pose that is refused is nobody's word.
+        let given =
+            self.intrinsics.filter(|_| self.intrinsics_source.as_deref().is_none_or(|source| !source.starts_with("solved")));
+        let (k, (header, ..)) = given.zip(intrinsics_of(frame))?;
         (!((k.fx / header.fx - 1.0).abs() <= OFF_HEADER))
             .then(|| format!("K says f {:.0} px, the header's SID and pitch say {:.0} px", k.fx, header.fx))
     }
@@ -72,17 +75,25 @@ mod tests {
     use crate::image::Image;
     use crate::pose::Registration;
 
-    /// Why beads `across_mm` apart are refused in a frame that says 5000 px and is saturated to this share.
-    fn reason(across_mm: f64, focal_px: f64, saturated_share: f64, refusal: &Refusal) -> String {
+    /// Why it is refused in a frame that says 5000 px and is saturated to this share.
+    fn heard(mut pose: Pose, saturated_share: f64) -> String {
         let mut frame = Frame::from_pixels("f", Image::filled(64, 48, 1.0f32), Domain::Linear).expect("a frame");
         (frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(1000.0), Some([0.2; 2]));
         frame.clipping.saturated_share = saturated_share;
+        pose.hear_header(&frame, false);
+        pose.reason.expect("a reason")
+    }
+
+    fn reason(across_mm: f64, focal_px: f64, saturated_share: f64, refusal: &Refusal) -> String {
+        heard(refused(across_mm, focal_px, refusal), saturated_share)
+    }
+
+    /// Of beads `across_mm` apart.
+    fn refused(across_mm: f64, focal_px: f64, refusal: &Refusal) -> Pose {
         let beads = vec![Bead::new("a", DVec3::ZERO), Bead::new("b", across_mm * DVec3::X)];
         let layout = BeadLayout { beads, ..BeadLayout::none() };
         let intrinsics = Some(Intrinsics { fx: focal_px, fy: focal_px, skew: 0.0, cx: 31.5, cy: 23.5 });
-        let mut pose = Registration { intrinsics, ..Registration::new([64, 48], &layout) }.refuse(refusal);
-        pose.hear_header(&frame, false);
-        pose.reason.expect("a reason")
+        Registration { intrinsics, ..Registration::new([64, 48], &layout) }.refuse(refusal)
     }
 
     /// Beads in metres were on a line, in centimetres they were matched by no pose, and half a focal length was an accident.
@@ -101,6 +112,8 @@ mod tests {
         let words = reason(160.0, 5000.0, 0.99, &few);
         assert!(words.contains("99 % of the frame is saturated") && !words.contains("raise the dose"), "{words}");
         assert!(reason(160.0, 5000.0, 0.1, &few).contains("raise the dose"));
+        let solved = Pose { intrinsics_source: Some("solved".to_owned()), ..refused(160.0, 2500.0, &none) };
+        assert_eq!(heard(solved, 0.1), none.to_string());
         let told = Refusal::Layout { detail: "told".to_owned() };
         assert_eq!(reason(0.16, 2500.0, 0.99, &told), "told");
     }

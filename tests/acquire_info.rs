@@ -106,6 +106,9 @@ fn floats_that_end_in_a_spike_at_the_end_of_digits_are_saturated_there() {
     };
     assert_eq!(share(65535.0), Some(0.75));
     assert_eq!(share(65000.0), Some(0.0), "the control");
+    // The most signal is at the other end, of which the spike says nothing.
+    write(folder.path(), "counts.tif.json", r#"{"quantity": "line_integral", "unit": "1"}"#);
+    assert_eq!(share(65535.0), Some(0.0), "a logarithm");
 }
 
 /// A label with a comma was cut at it, and the column behind it was taken for the next; a spreadsheet's file was damaged.

@@ -76,7 +76,10 @@ pub(super) fn read_tiff(
         if decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).map_err(fault)? == Some(WHITE_IS_ZERO) {
             from_white(&mut raw);
         }
-        raw.scale_ends = raw.scale_ends.or_else(|| ends_of_digits(&raw.pixels.pixels));
+        // Of logarithms the most signal is at 0, whatever the other end is.
+        if raw.scale_ends.is_none() && raw.domain != super::Domain::Log {
+            raw.scale_ends = ends_of_digits(&raw.pixels.pixels);
+        }
         take(raw)?;
     }
     Ok(())

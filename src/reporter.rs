@@ -188,7 +188,8 @@ impl Reporter {
 /// Nobody may be there to read it, and a session does not end with its listener.
 pub(crate) fn to_stderr(line: &str) {
     use std::io::Write;
-    let _ = writeln!(std::io::stderr(), "{line}");
+    // In one write: where both outputs are one file, a line of the other may come between two.
+    let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 
 /// What a session came to, on standard output: where that is closed, the exit code says it all the same.

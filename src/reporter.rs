@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::time::Stopwatch;
@@ -136,6 +137,14 @@ impl Reporter {
         let message = message.to_string();
         if !self.keeps(|| Held::Note(message.clone())) {
             self.print(&message);
+        }
+    }
+
+    /// Names the files that a command has made.
+    pub fn wrote<P: AsRef<Path>>(&self, files: impl IntoIterator<Item = P>) {
+        let files: Vec<String> = files.into_iter().map(|file| file.as_ref().display().to_string()).collect();
+        if !files.is_empty() {
+            self.note(format!("wrote {}", files.join(", ")));
         }
     }
 

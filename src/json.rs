@@ -27,8 +27,10 @@ pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, JsonFault> {
     }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
-        // No key leads to the outermost value.
-        let place = Some(error.path().to_string()).filter(|path| path != ".");
+        // No key leads to the outermost value, nor to what stands where a key should.
+        let path = error.path().to_string();
+        let known = path.strip_suffix('?').map_or(&*path, |known| known.strip_suffix('.').unwrap_or(known));
+        let place = Some(known.to_owned()).filter(|path| !path.is_empty() && path != ".");
         JsonFault { place: place.unwrap_or_else(|| "the top level".to_owned()), detail: error.into_inner().to_string() }
     })?;
     deserializer.end().map_err(|error| JsonFault { place: "the end".to_owned(), detail: error.to_string() })?;
@@ -61,6 +63,8 @@ mod tests {
             (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
             ("\u{1f}\u{8b}\u{8}".to_owned(), "at the beginning: ", "no JSON text"),
             ("{}".to_owned(), "at the top level: ", "missing field `joints`"),
+            ("{\"joints\": [],}".to_owned(), "at the top level: ", "trailing comma"),
+            (right.replace("2.0", "2.0,"), "at joints[1]: ", "trailing comma"),
             (format!("{right} x"), "at the end: ", "trailing characters"),
             (format!("\u{feff}{right}"), "at the beginning: ", "byte order mark"),
         ] {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::time::Stopwatch;
@@ -139,6 +140,14 @@ impl Reporter {
         }
     }
 
+    /// Names the files that a command has made.
+    pub fn wrote<P: AsRef<Path>>(&self, files: impl IntoIterator<Item = P>) {
+        let files: Vec<String> = files.into_iter().map(|file| file.as_ref().display().to_string()).collect();
+        if !files.is_empty() {
+            self.note(format!("wrote {}", files.join(", ")));
+        }
+    }
+
     /// How far something long is, which names no file: said at once, whatever is held.
     pub fn announce(&self, message: impl std::fmt::Display) {
         self.print(&message.to_string());
@@ -188,7 +197,8 @@ impl Reporter {
 /// Nobody may be there to read it, and a session does not end with its listener.
 pub(crate) fn to_stderr(line: &str) {
     use std::io::Write;
-    let _ = writeln!(std::io::stderr(), "{line}");
+    // In one write: where both outputs are one file, a line of the other may come between two.
+    let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 
 /// What a session came to, on standard output: where that is closed, the exit code says it all the same.

@@ -107,7 +107,7 @@ fn a_count_that_surely_names_another_exposure_than_the_stamp_leaves_the_frame_un
     let prompt: Vec<Came> = others.map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(i as u32 + 1))).collect();
     let cases = [
         (Some(5), "the console's stamp points to exposure 3, the counter to exposure 5: contradictory", true),
-        (Some(3), "the counter names exposure 3 as well; the console's stamp fits exposure 3", false),
+        (Some(3), "counter and stamp both name exposure 3", false),
         (None, "exposure 3 is the only exposure that the console's stamp fits", false),
     ];
     for (count, words, contradictory) in cases {

@@ -207,10 +207,7 @@ pub fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
             return Err(wrong("the share is not within 0 to 1"));
         }
         let (device, kind) = match item_without_share.split_once(':') {
-            Some((device, kind)) => {
-                let known = [Device::Carm, Device::Robot].into_iter().find(|known| known.name() == device);
-                (Some(known.ok_or_else(|| wrong("the device is not carm or robot"))?), kind)
-            }
+            Some((name, kind)) => (Some(device(name).map_err(|expected| wrong(&expected))?), kind),
             None => (None, item_without_share),
         };
         let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);

@@ -152,7 +152,7 @@ fn refuse_old_frames(out: &Path) -> Result<(), MockError> {
     match count {
         0 => Ok(()),
         _ => {
-            let detail = format!("holds {count} files of an earlier session; choose another --out, or remove it");
+            let detail = format!("holds {count} files of an earlier session; choose another --out, or remove this folder");
             Err(MockError::Data { what: folder.display().to_string(), detail })
         }
     }

@@ -212,6 +212,7 @@ fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
         print!("{}", table(&calibration));
     }
     calibration.record.notes.iter().for_each(|note| reporter.note(format!("note: {note}")));
+    reporter.wrote([&args.out, &maps_path]);
     Ok(0)
 }
 

@@ -108,6 +108,7 @@ pub fn run(args: &BeadsArgs, reporter: &Reporter) -> Result<u8, CalibrateBeadsEr
         reporter.warn("no bead", format_args!("{name}: no bead within {} mm of its place", args.tolerance));
     }
     found.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
+    reporter.wrote([&args.out]);
     Ok(0)
 }
 

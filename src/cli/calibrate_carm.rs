@@ -130,6 +130,7 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
     } else {
         print!("{}", table(&report));
     }
+    reporter.wrote(&outputs);
     if !(fit.chi2_per_dof <= POOR_FIT) {
         let words = format!(
             "the shots disagree with their joints {:.1} times as much as encoders and beads allow: are pitch, source-to-detector distance and \

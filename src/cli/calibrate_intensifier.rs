@@ -74,6 +74,7 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     } else {
         print!("{}", table(&calibration));
     }
+    reporter.wrote([&args.out]);
     Ok(0)
 }
 

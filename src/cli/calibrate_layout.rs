@@ -158,7 +158,8 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
     if let Some(out) = &args.out {
         write_atomically(out, |file| file.write_all(format!("{text}\n").as_bytes()))?;
     }
-    if let (Some(path), Some(svg)) = (&args.map, map(&found.views)) {
+    let drawn = args.map.as_ref().zip(map(&found.views));
+    if let Some((path, svg)) = &drawn {
         write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
     }
     if args.json {
@@ -168,6 +169,7 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
     }
     found.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
     found.warnings.iter().for_each(|warning| reporter.note(format_args!("warning: {warning}")));
+    reporter.wrote(args.out.iter().chain(drawn.map(|(path, _)| path)));
     Ok(u8::from(!found.warnings.is_empty()))
 }
 
@@ -200,8 +202,11 @@ fn table(found: &LayoutScore) -> String {
             None => format!("no three beads fall on three of {image}\n"),
         };
     }
+    let has_landmarks = found.views.iter().any(|view| !view.landmarks_mm.is_empty());
     if !found.views.is_empty() {
-        text += "orbital  angulation  beads   turn about x, y, z, deg       centroid x, y, along, mm    worst landmark mm\n";
+        text += "orbital  angulation  beads   turn about x, y, z, deg   centroid x, y, along, mm";
+        text += if has_landmarks { "   worst landmark mm\n" } else { "\n" };
+        text += "    deg         deg              standard deviations in that view\n";
     }
     for view in &found.views {
         let numbers = |values: Option<[f64; 3]>| match values {
@@ -213,15 +218,12 @@ fn table(found: &LayoutScore) -> String {
             .iter()
             .map(|(_, sigma)| *sigma)
             .fold(None, |worst: Option<f64>, sigma| Some(worst.map_or(sigma, |worst| worst.max(sigma))));
-        text += &format!(
-            "{:7.1}  {:10.1}  {:5}   {}   {}   {}\n",
-            view.orbital_deg,
-            view.angulation_deg,
-            view.in_view,
-            numbers(view.turn_deg),
-            numbers(view.centroid_mm),
-            worst.map_or(String::new(), |sigma| format!("{sigma:8.3}"))
-        );
+        let worst = worst.map_or_else(String::new, |sigma| format!("{sigma:8.3}"));
+        let [turn, centroid] = [view.turn_deg, view.centroid_mm].map(numbers);
+        let row =
+            format!("{:7.1}  {:10.1}  {:5}   {turn}   {centroid}   {worst}", view.orbital_deg, view.angulation_deg, view.in_view);
+        text += row.trim_end();
+        text.push('\n');
     }
     text += &verdict(found);
     text

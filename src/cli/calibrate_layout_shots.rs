@@ -117,6 +117,7 @@ pub fn run(
     } else {
         print!("{}", table(&phantom));
     }
+    reporter.wrote(&outputs);
     for left in &phantom.left_out_shots {
         reporter.warn("shot left out", format_args!("{}: {}", left.shot, left.reason));
     }

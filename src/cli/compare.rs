@@ -158,6 +158,8 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     for disagreement in &compared.comparison.disagreements {
         reporter.warn("images disagree", format!("{}: {disagreement}", args.acquired.display()));
     }
+    // What was warned of, which the table does not say again.
+    let warned: Vec<String> = doubts.iter().chain(&flood_doubt).cloned().collect();
     for doubt in doubts {
         reporter.warn("not what was rendered", &doubt);
         compared.comparison.flags.push(doubt);
@@ -195,8 +197,11 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if args.json {
         print!("{text}");
     } else {
-        print!("{}", table(&compared.comparison));
+        let of_images = compared.comparison.disagreements.iter().map(ToString::to_string);
+        let warned: Vec<String> = of_images.chain(warned).chain(prefers.iter().map(ToString::to_string)).collect();
+        print!("{}", table(&compared.comparison, &warned));
     }
+    reporter.wrote([&json_path, &strip_path]);
     Ok(0)
 }
 

@@ -248,6 +248,7 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
     warnings.iter().for_each(|words| reporter.warn("conversion", words));
     let notes = camera.notes.iter().map(String::as_str).chain(convention).chain(loses);
     notes.for_each(|sentence| reporter.note(format!("note: {sentence}")));
+    reporter.wrote(&args.out);
     Ok(0)
 }
 

@@ -96,6 +96,7 @@ fn answer(args: &RegisterArgs, pose: &Pose, reporter: &Reporter) -> Result<u8, R
     } else {
         print!("{}", summary(pose, args.explain));
     }
+    reporter.wrote(std::iter::once(&args.out).chain(&args.overlay));
     Ok(u8::from(!pose.is_accepted()))
 }
 

@@ -77,6 +77,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     } else {
         print!("{}", summary(&together));
     }
+    reporter.wrote(outputs.each.iter().chain([&outputs.all]));
     Ok(u8::from(!together.is_accepted()))
 }
 

@@ -74,7 +74,7 @@ pub(super) fn line<R: BufRead, W: Write>(
     let Some(port) = port else {
         return Ok(None);
     };
-    let words = format!("Calibration of the {}, or nominal", device.kind);
+    let words = format!("Model of the {} (its calibration), or nominal", device.kind);
     let default = Some("nominal");
     let file = Question { option: of_calibration, given: calibration, words: &words, default, may_be_silent: false };
     let calibration = asker.ask(&file, &|answer| match answer {

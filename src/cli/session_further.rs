@@ -82,7 +82,7 @@ impl Further {
         asker: &mut Asker<R, W>,
         named: &dyn Fn(&Path) -> PathBuf,
     ) -> Result<Self, SessionNewError> {
-        let words = "Values of the frames: linear, log or display, or file: what each says of itself";
+        let words = "Values of the frames: linear, log, display, unknown, or file (what each says of itself)";
         let domain = asker.ask(&question("--domain", &args.domain, words, "file"), &|answer| match answer {
             "file" => Ok(None),
             word => word.parse().map(Some),

@@ -208,13 +208,16 @@ impl Weighed<'_> {
         self.known.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
     }
 
-    /// That the counter names the exposure, which a console that counts otherwise gives another number.
-    fn counter_words(&self, at: usize) -> String {
+    /// That counter and stamp name the exposure, to which a console that counts otherwise gives another number.
+    fn both_words(&self, at: usize) -> String {
         let own =
             self.pending.evidence.counter.filter(|counter| self.known.shots.get(at).counter.is_some_and(|own| own != *counter));
         match own {
-            Some(counter) => format!("the counter, {counter}, means {} by the console's count of other frames", self.label(at)),
-            None => format!("the counter names {} as well", self.label(at)),
+            Some(counter) => format!(
+                "the counter, {counter}, means {0} by the console's count of other frames; the console's stamp fits {0}",
+                self.label(at)
+            ),
+            None => format!("counter and stamp both name {}", self.label(at)),
         }
     }
 
@@ -228,8 +231,7 @@ impl Weighed<'_> {
         let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
         match (&both[..], &stamp.fitting[..]) {
             ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
-                words.push(self.counter_words(*at));
-                words.push(format!("the console's stamp fits {}", self.label(*at)));
+                words.push(self.both_words(*at));
                 self.of(*at, BindingHow::Counter, words, true)
             }
             (_, []) => {

@@ -143,7 +143,8 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         label: frame.name.clone(),
         sha256: frame.sha256.clone(),
         image_of_file: *image_of_file,
-        binding: session.binding(*number),
+        // When it came says nothing of a frame that was exported afterwards.
+        binding: session.binding(*number).with_beam_length(&session.timeline, frame.tags.exposure_ms, i64::MAX),
     };
     let exposures = session.timeline.exposures();
     let shown: BTreeSet<u64> = (1..=session.taken).filter_map(|number| Some(session.binding(number).exposure?.index)).collect();

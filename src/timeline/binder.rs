@@ -181,15 +181,15 @@ impl Binder {
             let Some(pending) = self.known.frames.get_mut(frame) else { continue };
             let Some(at) = pending.running.and_then(|index| self.known.shots.position(index)) else { continue };
             pending.running = None;
-            let Some(prompt) = pending.prompt.as_mut().filter(|prompt| self.known.shots.may_come_early(at, prompt)) else {
-                continue;
-            };
+            let (arrival_us, shots) = (pending.evidence.arrival_us.unwrap_or(i64::MAX), &self.known.shots);
+            // Where telemetry had fallen silent, the beam was perhaps off long before the frame came.
+            let may_be = |prompt: &&mut Vec<usize>| shots.is_near(at, arrival_us) && shots.may_come_early(at, prompt);
+            let Some(prompt) = pending.prompt.as_mut().filter(may_be) else { continue };
             if prompt.is_empty() {
                 self.known.strays = self.known.strays.saturating_sub(1);
             }
             prompt.push(at);
             self.known.shots.get_mut(at).prompt_frames += 1;
-            let arrival_us = pending.evidence.arrival_us.unwrap_or(i64::MAX);
             let blind = timeline.exposure_tracker().blind_spot(arrival_us.saturating_sub(PROMPT_US), arrival_us).is_some();
             if !blind && !self.known.voters.contains(frame) {
                 self.known.vote(*frame);
@@ -346,4 +346,44 @@ fn within_run(run: &Binding, image: &FrameEvidence) -> Binding {
         own.flags = flags_of(image, exposure, span_us);
     }
     own
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::telemetry::{CarmSample, Sample, SequenceTracker};
+
+    /// Of an arm that fell silent right after an exposure, a picture that came ten seconds later counted as one that came while the beam was on.
+    #[test]
+    fn what_comes_long_after_a_beam_did_not_come_while_it_was_on() {
+        let mut met = Vec::new();
+        for arrival_us in [1_500_000, 12_000_000] {
+            let (mut timeline, mut sequence, mut binder) = (Timeline::new(), SequenceTracker::default(), Binder::new());
+            let mut hear = |timeline: &mut Timeline, numbers: std::ops::Range<u32>, skipped: u32| {
+                for n in numbers {
+                    let device_us = 20_000 * u64::from(n + skipped);
+                    let (xray_on, exposure_counter) = ((50..100).contains(&n), Some(u32::from(n >= 50)));
+                    let sample = CarmSample { device_us, sequence: n, xray_on, exposure_counter, ..CarmSample::UNTOLD };
+                    let sequenced = sequence.take(n, device_us);
+                    timeline.push_sample(DeviceKind::Carm, device_us as i64, 0, sequenced, Sample::Carm(sample));
+                }
+            };
+            // The beam is seen off for two samples, which may be a bounce.
+            hear(&mut timeline, 0..102, 0);
+            let (content, arrival) = ("a".to_owned(), Some(arrival_us));
+            binder.push(FrameEvidence {
+                frame: 1,
+                content,
+                image_of_file: [0, 1],
+                arrival_us: arrival,
+                ..FrameEvidence::default()
+            });
+            binder.update(&timeline, arrival_us + 2 * PATIENCE_US);
+            assert!(binder.known.frames[&1].running.is_some(), "nobody knows yet that it is over");
+            hear(&mut timeline, 102..300, 1_900);
+            binder.update(&timeline, 50_000_000);
+            met.push(binder.known.frames[&1].prompt.clone());
+        }
+        assert_eq!(met, [Some(vec![0]), Some(vec![])]);
+    }
 }

@@ -164,6 +164,11 @@ impl Shots {
         self.touching(to_us.saturating_sub(PROMPT_US), to_us).filter(|at| on(&self.list[*at])).last()
     }
 
+    /// Whether an arrival at `arrival_us` is prompt after the exposure at this position, or came while that was on.
+    pub(super) fn is_near(&self, at: usize, arrival_us: i64) -> bool {
+        self.on_at(arrival_us) == Some(at) || self.prompt(arrival_us).contains(&at)
+    }
+
     /// Whether a frame that came while the exposure at this position was on may be of it: consoles export the first image, or the last pulses,
     /// before the beam ends. A late frame of an exposure before is more likely, as long as one waits for its frame: the one right before, or
     /// one of those after which the arrival is `prompt`.

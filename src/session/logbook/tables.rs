@@ -12,6 +12,7 @@ use super::frames::Frames;
 use super::inventory::Reading;
 use super::lines::{Heard, Lines};
 use super::sheet::{Table, number, or_empty};
+use crate::geometry::JOINT_KEYS;
 use crate::record::{LogReader, Tolerance, topic};
 use crate::report::Pair;
 use crate::reporter::Reporter;
@@ -21,16 +22,6 @@ use crate::timeline::{ExposureInterval, Stamps};
 
 /// The files, in the order in which they are told.
 const FILES: [&str; 6] = ["exposures.csv", "carm.csv", "robot.csv", "poses.csv", "beads.csv", "scores.csv"];
-
-const JOINTS: [&str; 7] = [
-    "lift_mm",
-    "wig_wag_deg",
-    "longitudinal_mm",
-    "angulation_deg",
-    "orbital_deg",
-    "detector_rotation_deg",
-    "source_to_detector_mm",
-];
 
 /// What was written.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -143,11 +134,16 @@ fn of_sample() -> impl Iterator<Item = String> {
     ["log", "arrival_us", "host_us", "device_us", "segment", "sequence", "epoch", "follows"].map(str::to_owned).into_iter()
 }
 
+fn joint_columns() -> [&'static str; 7] {
+    JOINT_KEYS.map(|(name, _)| name)
+}
+
 fn carm_columns() -> Vec<String> {
     let beam = ["tube_kvp", "tube_ma", "pulse_width_ms", "filter_mm_al", "filter_mm_cu"];
     let field = ["field_left_mm", "field_top_mm", "field_right_mm", "field_bottom_mm"];
     let state = ["xray_on", "exposure_counter", "status"];
-    let own = JOINTS.iter().chain(&beam).chain(&field).chain(&state).map(|name| (*name).to_owned());
+    let joints = joint_columns();
+    let own = joints.iter().chain(&beam).chain(&field).chain(&state).map(|name| (*name).to_owned());
     of_sample().chain(own).collect()
 }
 
@@ -235,7 +231,8 @@ fn write_exposures(table: &mut Table, lines: &Lines, frames: &Frames, notes: &BT
         "samples",
     ];
     let beam = ["tube_kvp", "tube_ma"];
-    let joints = JOINTS.iter().chain(&["joints_gap_us"]);
+    let joints = joint_columns();
+    let joints = joints.iter().chain(&["joints_gap_us"]);
     let robot = (1..=5).map(|point| format!("robot_{point}_deg"));
     let tail = ["frames", "binding", "notes"].map(str::to_owned);
     table.head(head.iter().chain(&beam).chain(joints).map(|name| (*name).to_owned()).chain(robot).chain(tail))?;

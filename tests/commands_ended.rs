@@ -17,6 +17,8 @@ const GONE_MS: f64 = 4_000.0;
 /// A command that was done before it was stopped is begun again.
 const TRIES: usize = 10;
 const PACKETS: u32 = 40_000;
+/// What `log csv` writes.
+const TABLES: usize = 6;
 
 /// A log whose tables take a while.
 fn long_log(folder: &Path) -> PathBuf {
@@ -58,11 +60,11 @@ fn stopped(log: &Path, shell: Option<&str>) -> (Running, PathBuf) {
         };
         command.args(["log", "csv"]).arg(log).arg("--out").arg(&out).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut running = Running(command.spawn().expect("starts"));
-        let begun = || (unnamed(&out) == 5).then_some(true).or_else(|| running.0.try_wait().expect("asked").map(|_| false));
+        let begun = || (unnamed(&out) == TABLES).then_some(true).or_else(|| running.0.try_wait().expect("asked").map(|_| false));
         if eventually(HANG_S, begun) == Some(true) {
             running.signal(Signal::STOP);
             std::thread::sleep(Duration::from_millis(20));
-            if running.0.try_wait().expect("asked").is_none() && unnamed(&out) == 5 {
+            if running.0.try_wait().expect("asked").is_none() && unnamed(&out) == TABLES {
                 return (running, out);
             }
         }
@@ -113,7 +115,7 @@ fn a_command_that_a_signal_ends_leaves_nothing_half_written() {
     // The control: what nobody removes is there.
     let (running, out) = stopped(&log, None);
     let (status, said, _) = ended_by(running, Signal::KILL);
-    assert_eq!((status.signal(), unnamed(&out)), (Some(9), 5), "{said}");
+    assert_eq!((status.signal(), unnamed(&out)), (Some(9), TABLES), "{said}");
 }
 
 /// `nohup` and a shell's background mean that the command goes on.
@@ -125,7 +127,7 @@ fn a_signal_that_was_to_be_ignored_is_ignored() {
     let (status, said, _) = ended_by(running, Signal::HUP);
     // A log of a few bytes of one device may lack what a session has.
     assert!(matches!(status.code(), Some(0 | 3)), "{status:?} {said}");
-    assert_eq!((names(&out).len(), unnamed(&out)), (5, 0), "{said}");
+    assert_eq!((names(&out).len(), unnamed(&out)), (TABLES, 0), "{said}");
     std::fs::remove_dir_all(&out).expect("removed");
     // The control: it is ended by another one.
     let (running, out) = stopped(&log, Some("trap '' HUP; exec \"$@\""));

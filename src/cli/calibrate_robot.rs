@@ -122,7 +122,7 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
     } else {
         print!("{}", table(&report));
     }
-    reporter.wrote(&outputs);
+    reporter.wrote(outputs);
     for shot in &report.left_out {
         reporter.warn("shot left out", format_args!("{}: {}", shot.shot, shot.why));
     }

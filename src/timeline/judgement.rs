@@ -46,6 +46,9 @@ impl Weighed<'_> {
         if self.pending.prompt.is_none() && self.came_before_the_end() {
             return Judgement::Wait("an exposure was on when the frame arrived, and has not ended yet".to_owned());
         }
+        if !self.known.finished && self.known.shots.awaits_unseen(self.timeline.exposure_tracker()) {
+            return Judgement::Wait("telemetry has just told of exposures that it did not see".to_owned());
+        }
         if self.known.shots.len() == 0 {
             return none(vec![NO_EXPOSURE.to_owned()]);
         }

@@ -179,9 +179,13 @@ impl Shots {
 
     /// Whether an exposure is still to be taken that is over, or of which only the counter tells.
     pub(super) fn lags(&self, tracker: &ExposureTracker) -> bool {
+        tracker.is_ending() || self.awaits_unseen(tracker)
+    }
+
+    /// Whether an exposure of which only the counter tells is still to be taken: stamps from a silence fit those that are here, for want of it.
+    pub(super) fn awaits_unseen(&self, tracker: &ExposureTracker) -> bool {
         let last = tracker.closed().back();
-        tracker.is_ending()
-            || last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
+        last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
     }
 }
 

@@ -11,6 +11,8 @@ const AFTER_STAMP_US: i64 = 500_000;
 const ORDER_US: i64 = 20_000_000;
 /// Stamps after a frame whose counter contradicts its stamp that must fit on before the stamp is believed.
 const FITTING: usize = 3;
+/// Frames that confirm the console's clock from which on its stamp is believed against the counter, or where another exposure waits as well.
+const CONFIRMED: u32 = 5;
 /// Frames with stamps right before and right after one, each, that show whether the counter began anew there.
 const WITNESSES: usize = 3;
 /// Stamps within this time of each other show whether the clock was set.
@@ -47,17 +49,18 @@ impl Weighed<'_> {
             }
         }
         let Some(own) = places.iter().position(|(us, _)| *us == console_us) else { return };
+        // Where they do not all find a place, an exposure is not known, or a stamp is of something else: which one nobody knows.
         let mut lowest: Option<usize> = None;
         for (_, fitting) in &places[..=own] {
-            lowest = fitting.iter().copied().find(|at| lowest.is_none_or(|lowest| *at > lowest)).or(lowest);
+            let Some(next) = fitting.iter().copied().find(|at| lowest.is_none_or(|lowest| *at > lowest)) else { return };
+            lowest = Some(next);
         }
         let mut highest: Option<usize> = None;
         for (_, fitting) in places[own..].iter().rev() {
-            highest = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)).or(highest);
+            let Some(next) = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)) else { return };
+            highest = Some(next);
         }
-        if let (Some(lowest), Some(highest)) = (lowest, highest)
-            && lowest <= highest
-        {
+        if let (Some(lowest), Some(highest)) = (lowest, highest) {
             stamp.fitting.retain(|at| (lowest..=highest).contains(at));
         }
     }
@@ -123,6 +126,31 @@ impl Weighed<'_> {
                 "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
             )
         })
+    }
+
+    /// Why a frame that came after the exposure at `at`, as its stamp says, is not believed to be of it: it came sooner than frames do, so it was
+    /// in the making before, and its stamp is of when it was exported, or of another room's exposure.
+    fn came_too_soon(&self, at: usize) -> Option<String> {
+        let (said, shots) = (&self.pending.evidence, &self.known.shots);
+        let (arrival_us, usual_us) = (said.arrival_us?, self.usual_delay_us()?);
+        let after_us = arrival_us.saturating_sub(shots.get(at).over_us);
+        (after_us < *usual_us.start() && !self.known.was_on_for(said, at)).then(|| {
+            let (after, from, to) = (seconds(after_us), seconds(*usual_us.start()), seconds(*usual_us.end()));
+            format!(
+                "it came {after} after {}, which its stamp names, others come after {from} to {to}: ambiguous",
+                self.label(at)
+            )
+        })
+    }
+
+    /// Why the stamp alone does not stand against what else there is: so few frames confirm the console's clock.
+    fn few_confirm(&self, at: usize) -> Option<String> {
+        let clock = self.known.clock().filter(|clock| clock.frames < CONFIRMED)?;
+        Some(format!(
+            "the console's stamp points to {}, but not all else does, and only {} frames confirm its clock: ambiguous",
+            self.label(at),
+            clock.frames
+        ))
     }
 
     /// Whether the counter, which has never begun anew, contradicts that the frame is of the exposure at `at`, and no frame shortly before or
@@ -243,6 +271,10 @@ impl Weighed<'_> {
                     words.push(set);
                     return none(words);
                 }
+                if let Some(sooner) = self.came_too_soon(*at) {
+                    words.push(sooner);
+                    return none(words);
+                }
                 let free = |at: usize| self.known.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
@@ -258,7 +290,21 @@ impl Weighed<'_> {
                     && !both.iter().any(|(both, _)| both == at)
                     && words.is_empty()
                 {
+                    if let Some(few) = self.few_confirm(*at) {
+                        words.push(few);
+                        return none(words);
+                    }
                     words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
+                }
+                // How soon frames come would tell one from the other.
+                let waits = |other: &usize| other != at && free(*other);
+                if self.usual_delay_us().is_none()
+                    && prompt.contains(at)
+                    && prompt.iter().any(waits)
+                    && let Some(few) = self.few_confirm(*at)
+                {
+                    words.push(few);
+                    return none(words);
                 }
                 if self.of_another_count(*at, candidates) {
                     words.push(format!(

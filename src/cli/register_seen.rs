@@ -7,8 +7,8 @@ use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
 use crate::pose::{
-    Focal, FrameK, IntrinsicsFile, IntrinsicsPrior, OFF_HEADER, OtherSize, Panel, Pose, Prior, Registration, intrinsics_of,
-    isocentre_of, off_header, read_console, solve_console,
+    Focal, FrameK, IntrinsicsFile, IntrinsicsPrior, OtherSize, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of,
+    off_header, read_console, solve_console,
 };
 
 /// What the console did.
@@ -57,8 +57,7 @@ pub(super) struct Seen {
     pub pitch_mm: Option<f64>,
     /// From the panel's axes to the frame's, about the beam.
     pub turn_rad: f64,
-    /// That the intrinsics' pixels are not those of the frame's header, for a frame of the size and place that the intrinsics are for: consoles
-    /// that bin or enlarge leave the header's as it was.
+    /// That the intrinsics' pixels are not those of the frame's header.
     pub off_pitch: Option<String>,
     /// What was done and assumed.
     pub notes: Vec<String>,
@@ -109,19 +108,16 @@ impl Seen {
             return Ok(Self { turn_rad: window.turned_rad, notes, ..Self::plain(frame, intrinsics, None, pitch_mm) });
         };
         let of_frame = file.of_frame(console.map(|console| &console.geometry), found);
-        let FrameK { intrinsics, prior, pitch_mm, turn_rad, binning } = of_frame.map_err(|error| match error {
+        let k = of_frame.map_err(|error| match error {
             OtherSize::Console(error) => console_error(error),
             OtherSize::NoBinning { expected, found } => {
                 RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found }
             }
         })?;
+        let off_pitch = k.off_pitch(&frame);
+        let FrameK { intrinsics, prior, pitch_mm, turn_rad, binning, .. } = k;
         let solved = console.is_some_and(|console| console.solve_intrinsics);
         let (intrinsics, prior) = if solved { (None, None) } else { (Some(intrinsics), prior) };
-        let is_whole = console.is_none() && binning == 1;
-        let pitches = file.pitch_mm.zip(tagged_pitch_mm).filter(|_| is_whole);
-        let off_pitch = pitches.filter(|(own, tagged)| !((own / tagged - 1.0).abs() <= OFF_HEADER)).map(|(own, tagged)| {
-            format!("the frame's own header says pixels of {tagged} mm, the intrinsics {own} mm: one of the two is not this panel's, and all that is said in mm at the detector, SID among it, goes wrong by as much")
-        });
         let mut notes = undone;
         if binning > 1 {
             let expected = panel_px.unwrap_or(found);

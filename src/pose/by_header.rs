@@ -21,7 +21,7 @@ const MAGNIFICATION_TIMES: f64 = 1.25;
 /// 1020.31), seen on a panel of three tenths of that.
 const SHUTTER_SHARE: f64 = 0.07;
 /// The focal length of a calibrated panel, and its pitch, are hardly off by more than this share of what the frame's header says …
-pub const OFF_HEADER: f64 = 0.03;
+pub(super) const OFF_HEADER: f64 = 0.03;
 /// … nor by more standard deviations, where it is stated or solved with one.
 const OFF_SIGMAS: f64 = 3.0;
 

@@ -1,6 +1,6 @@
 //! K of a file as it holds for one frame: seen through what a console did, or binned.
 
-use super::by_header::{Focal, off_header};
+use super::by_header::{Focal, OFF_HEADER, off_header};
 use super::intrinsics_file::IntrinsicsFile;
 use super::orientation::whole_binning;
 use super::solve::IntrinsicsPrior;
@@ -20,6 +20,8 @@ pub struct FrameK {
     pub turn_rad: f64,
     /// So many pixels of the panel each way were averaged into one, though no console says so.
     pub binning: u32,
+    /// K is that of the file as it stands: no console and no binning has changed it.
+    pub is_whole: bool,
 }
 
 /// Why a file's K is not that of a frame.
@@ -53,11 +55,12 @@ impl IntrinsicsFile {
             let (intrinsics, turn_rad) = window.intrinsics(&self.intrinsics);
             let prior = self.prior().map(|prior| prior.seen_through(&window));
             let pitch_mm = self.pitch_mm.map(|pitch_mm| pitch_mm * window.step);
-            return Ok(FrameK { intrinsics, prior, pitch_mm, turn_rad, binning: 1 });
+            return Ok(FrameK { intrinsics, prior, pitch_mm, turn_rad, binning: 1, is_whole: false });
         }
         let expected = self.size_px.unwrap_or(stored_px);
         let binning = whole_binning(expected, stored_px).ok_or(OtherSize::NoBinning { expected, found: stored_px })?;
-        let whole = FrameK { intrinsics: self.intrinsics, prior: self.prior(), pitch_mm: self.pitch_mm, turn_rad: 0.0, binning };
+        let (intrinsics, prior, pitch_mm) = (self.intrinsics, self.prior(), self.pitch_mm);
+        let whole = FrameK { intrinsics, prior, pitch_mm, turn_rad: 0.0, binning, is_whole: binning == 1 };
         if binning == 1 {
             return Ok(whole);
         }
@@ -78,12 +81,25 @@ impl FrameK {
         self.prior.map_or(0.0, |prior| prior.focal_sigma_px)
     }
 
-    /// That the frame's header has another focal length, where it has one: the detector may stand elsewhere than when K, `whose` it is, was
-    /// measured.
+    /// That the frame's header has another focal length, where it has one, or other pixels: the detector may stand elsewhere than when K, `whose`
+    /// it is, was measured, or a console has enlarged the picture.
     #[must_use]
     pub fn off_header(&self, frame: &Frame, whose: &str) -> Option<String> {
         let focal = Focal { px: self.intrinsics.fx, sigma_px: self.focal_sigma_px(), pitch_mm: self.pitch_mm };
-        off_header(frame, whose, &focal)
+        off_header(frame, whose, &focal).or_else(|| self.off_pitch(frame))
+    }
+
+    /// That the pixels of K are not those of the frame's header, for a frame of the size and place that K is for: consoles that bin or enlarge leave
+    /// the header's as it was.
+    #[must_use]
+    pub fn off_pitch(&self, frame: &Frame) -> Option<String> {
+        let (own, [tagged, _]) = self.pitch_mm.filter(|_| self.is_whole).zip(frame.tags.pitch_mm)?;
+        (!((own / tagged - 1.0).abs() <= OFF_HEADER)).then(|| {
+            format!(
+                "the frame's own header says pixels of {tagged} mm, the intrinsics {own} mm: one of the two is not this panel's, and all that is said \
+                 in mm at the detector, SID among it, goes wrong by as much"
+            )
+        })
     }
 }
 
@@ -132,6 +148,20 @@ mod tests {
         assert!(matches!(file().of_frame(Some(&crop), [620, 480]), Err(OtherSize::Console(_))), "it is cropped");
         let sized = IntrinsicsFile { size_px: None, ..file() };
         assert!(sized.of_frame(None, [600, 470]).is_ok(), "nobody says for which size");
+    }
+
+    /// A console that enlarges a picture and says so in its pixels, beside no distance, told it to `register` alone.
+    #[test]
+    fn pixels_that_the_header_has_otherwise_are_told_of_a_frame_as_k_is_for() {
+        let told = |header_mm: Option<f64>, console: Option<&ConsoleGeometry>| {
+            let mut frame = Frame::from_pixels("f", Image::filled(62, 48, 1.0f32), Domain::Linear).expect("a frame");
+            frame.tags.pitch_mm = header_mm.map(|mm| [mm; 2]);
+            file().of_frame(console, [620, 480]).expect("its own size").off_header(&frame, "of the session")
+        };
+        let words = told(Some(0.374), None).unwrap_or_default();
+        assert!(words.contains("pixels of 0.374 mm, the intrinsics 0.4 mm"), "{words}");
+        let zoom = ConsoleGeometry { zoom: 2.0, crop_px: Some([155, 120, 310, 240]), ..ConsoleGeometry::default() };
+        assert_eq!([told(Some(0.4), None), told(None, None), told(Some(0.4), Some(&zoom))], [None, None, None]);
     }
 
     #[test]

@@ -26,6 +26,7 @@ mod judge;
 mod lens;
 mod moved;
 mod occupancy;
+mod off_depth;
 mod on_panel;
 mod orientation;
 mod other_intrinsics;
@@ -59,7 +60,7 @@ mod verdict;
 mod why_refused;
 mod with_tags;
 
-pub use by_header::{Focal, OFF_HEADER, off_header};
+pub use by_header::{Focal, off_header};
 pub use case::PRIOR_SIGMA;
 pub use edited::register_edited;
 pub use explained::{Explained, ExplainedPrior, FoundReading, PriorUse, Reading, Rejected, RejectedReading, Told};

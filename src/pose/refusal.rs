@@ -80,7 +80,7 @@ pub enum Refusal {
     Collinear { points: Points, first_mm: f64, second_mm: f64 },
     /// In a plane, with K unknown.
     #[error(
-        "coplanar: beads {points} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics"
+        "coplanar: beads {points} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics (intrinsics in a session)"
     )]
     Coplanar { points: Points, first_mm: f64, second_mm: f64, third_mm: f64 },
     /// The prior's covariance is none, or there is no prior to fuse.
@@ -249,7 +249,7 @@ pub enum Refusal {
     BodySplit { body: String, left_out: usize, seen: usize },
     /// K is solved, and the focal length is not determined.
     #[error(
-        "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics"
+        "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics (intrinsics in a session)"
     )]
     FocalDegenerate { focal_px: f64, sigma_px: f64 },
     /// The pose is too uncertain to be of use.
@@ -258,7 +258,7 @@ pub enum Refusal {
     )]
     Uncertain { turn_deg: f64, across_mm: f64, along_mm: f64, limits: [f64; 3] },
     /// Tags give a pose only to a known camera.
-    #[error("tags_without_intrinsics: tags give a pose only where K is known; give --intrinsics")]
+    #[error("tags_without_intrinsics: tags give a pose only where K is known; give --intrinsics (intrinsics in a session)")]
     TagsWithoutIntrinsics,
     /// None of the listed tags is seen.
     #[error("no_tags: none of the {listed} listed tags reads in the frame{}", others_seen(others))]

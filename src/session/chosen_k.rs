@@ -107,7 +107,7 @@ mod tests {
     }
 
     fn stated() -> FrameK {
-        FrameK { intrinsics: k(5100.0), prior: None, pitch_mm: None, turn_rad: 0.0, binning: 1 }
+        FrameK { intrinsics: k(5100.0), prior: None, pitch_mm: None, turn_rad: 0.0, binning: 1, is_whole: true }
     }
 
     /// A frame of the size of the arm's calibration was refused, because the session's own K was for another.

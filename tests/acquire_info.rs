@@ -101,10 +101,16 @@ fn floats_that_end_in_a_spike_at_the_end_of_digits_are_saturated_there() {
         let path = folder.path().join("counts.tif");
         let image = sidecarm::image::Image { width: 4, height: 2, pixels: vec![full, full, full, full, full, full, 100.5, 7.0] };
         sidecarm::image::write_tiff_f32(&path, &[image]).expect("written");
-        let facts = examine(&path).expect("known").facts;
-        facts["images"][0]["clipping"]["saturated_share"].as_f64()
+        let info = examine(&path).expect("known");
+        let image = &info.facts["images"][0];
+        let is_said = image["notes"].to_string().contains(&format!("many stand at {full}, the most that"));
+        let share = image["clipping"]["saturated_share"].as_f64();
+        assert_eq!(is_said, share > Some(0.0), "who saturates what was stored as floats says so: {image:#}");
+        share
     };
     assert_eq!(share(65535.0), Some(0.75));
+    // Grey values that were scaled until air is flat.
+    assert_eq!(share(255.0), Some(0.75));
     assert_eq!(share(65000.0), Some(0.0), "the control");
     // The most signal is at the other end, of which the spike says nothing.
     write(folder.path(), "counts.tif.json", r#"{"quantity": "line_integral", "unit": "1"}"#);

@@ -78,6 +78,41 @@ fn a_wrong_k_or_scale_contradicts_a_prior_with_covariance() {
     assert_eq!(cases, 12);
 }
 
+/// A picture that a console had enlarged was accepted with K as it was, centimetres off in depth, without a word: six beads tell no K, and their
+/// shadows grow with it.
+#[test]
+fn an_enlarged_picture_is_told_by_the_depth_of_the_prior() {
+    const ZOOM: f64 = 1.075;
+    const SAID: &str = "where the console has enlarged or cropped it declare that";
+    let (mut told, mut controls) = (0, 0);
+    for seed in 0..12 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(6, 0.75, seed));
+        let found = shadows(&view, &layout, 0.7, 0.05, seed);
+        let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+        let request = Registration { prior: Some(&prior), ..matching(&view, &layout) };
+        let middle = glam::DVec2::new(view.intrinsics.cx, view.intrinsics.cy);
+        let enlarged: Vec<Detection> = found
+            .iter()
+            .map(|shadow| Detection {
+                image_px: middle + ZOOM * (shadow.image_px - middle),
+                radius_px: ZOOM * shadow.radius_px,
+                ..*shadow
+            })
+            .collect();
+        let says = |found: &[Detection]| {
+            let pose = register_shadows(&request, found);
+            pose.is_accepted().then(|| pose.cautions.iter().any(|caution| caution.contains(SAID)))
+        };
+        let (zoomed, plain) = (says(&enlarged), says(&found));
+        assert!(zoomed != Some(false), "seed {seed}: accepted without a word");
+        assert!(plain != Some(true), "seed {seed}: the control");
+        told += usize::from(zoomed == Some(true));
+        controls += usize::from(plain == Some(false));
+    }
+    println!("{told} told, {controls} controls");
+    assert!(told >= 3 && controls >= 3, "{told} told, {controls} controls");
+}
+
 /// Without a prior that says better, the beads themselves tell a K that is far off.
 #[test]
 fn a_k_that_is_far_off_is_named() {

@@ -20,6 +20,8 @@ fn without_a_calibrated_arm_the_frames_header_gives_its_camera() {
     for told in poses {
         let pose = &told["pose"];
         assert_eq!(pose["intrinsics_source"], "given", "not solved: {told:#}");
-        assert!(pose["notes"].to_string().contains("K is taken from the header"), "{told:#}");
+        let notes = pose["notes"].to_string();
+        assert!(notes.contains("K is taken from the header") && notes.contains("give intrinsics in the session"), "{notes}");
+        assert!(!notes.contains("--intrinsics"), "that is no word of a session: {notes}");
     }
 }

@@ -79,6 +79,14 @@ pub(super) fn read_tiff(
         // Of logarithms the most signal is at 0, whatever the other end is.
         if raw.scale_ends.is_none() && raw.domain != super::Domain::Log {
             raw.scale_ends = ends_of_digits(&raw.pixels.pixels);
+            // Air that is flat because somebody scaled it to there looks alike.
+            raw.notes.extend(raw.scale_ends.map(|[low, high]| {
+                format!(
+                    "the values are floats without ends of their own, and many stand at {high}, the most that {} bits hold: {low} and {high} are taken \
+                     for the ends, and what stands at {high} for saturated; where it is air that was scaled to there, scale it to another value",
+                    (high + 1.0).log2()
+                )
+            }));
         }
         take(raw)?;
     }

@@ -76,7 +76,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     if let Some(words) = pose.solved_k() {
         pose.cautions.push(format!("{words}, and depth is as uncertain as f is: give --intrinsics"));
     }
-    pose.hear_header(&seen.frame, intensifier.is_some());
+    pose.hear_header(&seen.frame, intensifier.is_some(), seen.focal_sigma_px());
     given.pass_doubt_on(0, &mut pose);
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {

@@ -7,8 +7,8 @@ use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
 use crate::pose::{
-    IntrinsicsFile, IntrinsicsPrior, OFF_HEADER, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of, off_header,
-    read_console, solve_console, whole_binning,
+    Focal, FrameK, IntrinsicsFile, IntrinsicsPrior, OtherSize, Panel, Pose, Prior, Registration, intrinsics_of, isocentre_of,
+    off_header, read_console, solve_console,
 };
 
 /// What the console did.
@@ -57,8 +57,7 @@ pub(super) struct Seen {
     pub pitch_mm: Option<f64>,
     /// From the panel's axes to the frame's, about the beam.
     pub turn_rad: f64,
-    /// That the intrinsics' pixels are not those of the frame's header, for a frame of the size and place that the intrinsics are for: consoles
-    /// that bin or enlarge leave the header's as it was.
+    /// That the intrinsics' pixels are not those of the frame's header.
     pub off_pitch: Option<String>,
     /// What was done and assumed.
     pub notes: Vec<String>,
@@ -97,7 +96,9 @@ impl Seen {
         let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
         let Some(file) = file else {
             let (words, intrinsics, pitch_mm) = match intrinsics_of(&frame) {
-                Some((intrinsics, pitch_mm, words)) => (words, Some(intrinsics), Some(pitch_mm)),
+                Some((intrinsics, pitch_mm, words)) => {
+                    (format!("{words}; give --intrinsics for a calibrated K"), Some(intrinsics), Some(pitch_mm))
+                }
                 None => {
                     let words = "no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads";
                     (words.to_owned(), None, tagged_pitch_mm)
@@ -106,35 +107,23 @@ impl Seen {
             let notes = [undone, vec![words]].concat();
             return Ok(Self { turn_rad: window.turned_rad, notes, ..Self::plain(frame, intrinsics, None, pitch_mm) });
         };
-        if let Some(console) = console {
-            let (intrinsics, turn_rad) = window.intrinsics(&file.intrinsics);
-            let (intrinsics, prior) = if console.solve_intrinsics {
-                (None, None)
-            } else {
-                (Some(intrinsics), file.prior().map(|prior| prior.seen_through(&window)))
-            };
-            let pitch_mm = file.pitch_mm.map(|pitch| pitch * window.step).or(tagged_pitch_mm);
-            return Ok(Self { turn_rad, notes: undone, ..Self::plain(frame, intrinsics, prior, pitch_mm) });
+        let of_frame = file.of_frame(console.map(|console| &console.geometry), found);
+        let k = of_frame.map_err(|error| match error {
+            OtherSize::Console(error) => console_error(error),
+            OtherSize::NoBinning { expected, found } => {
+                RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found }
+            }
+        })?;
+        let off_pitch = k.off_pitch(&frame);
+        let FrameK { intrinsics, prior, pitch_mm, turn_rad, binning, .. } = k;
+        let solved = console.is_some_and(|console| console.solve_intrinsics);
+        let (intrinsics, prior) = if solved { (None, None) } else { (Some(intrinsics), prior) };
+        let mut notes = undone;
+        if binning > 1 {
+            let expected = panel_px.unwrap_or(found);
+            notes.push(format!("K is for {expected:?} px: the frame is taken as binned {binning} x {binning}"));
         }
-        let expected = file.size_px.unwrap_or(found);
-        let size =
-            || RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found };
-        let factor = whole_binning(expected, found).ok_or_else(size)?;
-        if factor == 1 {
-            let off_pitch =
-                file.pitch_mm.zip(tagged_pitch_mm).filter(|(own, tagged)| !((own / tagged - 1.0).abs() <= OFF_HEADER));
-            let off_pitch = off_pitch.map(|(own, tagged)| {
-                format!("the frame's own header says pixels of {tagged} mm, the intrinsics {own} mm: one of the two is not this panel's, and all that is said in mm at the detector, SID among it, goes wrong by as much")
-            });
-            let plain = Self::plain(frame, Some(file.intrinsics), file.prior(), file.pitch_mm.or(tagged_pitch_mm));
-            return Ok(Self { notes: undone, off_pitch, ..plain });
-        }
-        let binned = format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}");
-        let notes = [undone, vec![binned]].concat();
-        let factor = f64::from(factor);
-        let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm);
-        let prior = file.prior().map(|prior| prior.binned(factor));
-        Ok(Self { notes, ..Self::plain(frame, Some(file.intrinsics.binned(factor)), prior, pitch_mm) })
+        Ok(Self { frame, intrinsics, prior, pitch_mm: pitch_mm.or(tagged_pitch_mm), turn_rad, off_pitch, notes })
     }
 
     /// That K is not that of the frame's own header, where the header has one. Pixels of header and K are those of the picture as stored.
@@ -150,7 +139,12 @@ impl Seen {
             (Some("solved with priors"), Some(prior)) => ("as stated", prior.mean.fx, prior.focal_sigma_px),
             _ => ("as solved from the beads", k.fx, pose.intrinsics_sigma_px.map_or(0.0, |[sigma_px, ..]| sigma_px)),
         };
-        off_header(&self.frame, whose, focal_px, sigma_px)
+        off_header(&self.frame, whose, &Focal { px: focal_px, sigma_px, pitch_mm: self.pitch_mm })
+    }
+
+    /// Standard deviation with which K's focal length is stated; 0 where it is known.
+    pub fn focal_sigma_px(&self) -> f64 {
+        self.prior.map_or(0.0, |prior| prior.focal_sigma_px)
     }
 
     /// The request for one frame.
@@ -231,6 +225,12 @@ mod tests {
         assert!(words.contains("as stated is 5.0 % longer"), "{words}");
         assert_eq!(seen(true, Some(100.0)).off_header(&pose(5010.0, "solved with priors", Some(15.0))), None, "as stated");
         assert_eq!(seen(false, None).off_header(&pose(5250.0, "given", None)), None, "the header says nothing");
+        let mut without_pitch = Seen { pitch_mm: Some(0.2), ..seen(false, None) };
+        without_pitch.frame.tags.sid_mm = Some(1000.0);
+        let words = without_pitch.off_header(&pose(5250.0, "given", None)).unwrap_or_default();
+        assert!(words.contains("K's own pitch of 0.200 mm") && words.contains("5.0 % longer"), "{words}");
+        without_pitch.pitch_mm = None;
+        assert_eq!(without_pitch.off_header(&pose(5250.0, "given", None)), None, "nobody knows a pitch");
         let refused = pose(5250.0, "given", None).refused_for(crate::pose::Refusal::Fault { detail: "a test".to_owned() });
         assert_eq!(plain.off_header(&refused), None, "there is nothing to doubt");
     }

@@ -56,7 +56,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         if let Some(words) = seen.off_header(&pose) {
             pose.doubt(words);
         }
-        pose.hear_header(&seen.frame, false);
+        pose.hear_header(&seen.frame, false, seen.focal_sigma_px());
         given.pass_doubt_on(number, &mut pose);
         pose.notes.extend(notes.into_iter().chain(seen.notes));
         if assumed > 0 {

@@ -21,33 +21,69 @@ const MAGNIFICATION_TIMES: f64 = 1.25;
 /// 1020.31), seen on a panel of three tenths of that.
 const SHUTTER_SHARE: f64 = 0.07;
 /// The focal length of a calibrated panel, and its pitch, are hardly off by more than this share of what the frame's header says …
-pub const OFF_HEADER: f64 = 0.03;
+pub(super) const OFF_HEADER: f64 = 0.03;
 /// … nor by more standard deviations, where it is stated or solved with one.
 const OFF_SIGMAS: f64 = 3.0;
 
-/// That `focal_px` ± `sigma_px`, of K `whose` it is, is not that of the frame's own header, where it has one.
+/// The focal length of a K, and what is known with it.
+#[derive(Clone, Copy, Debug)]
+pub struct Focal {
+    /// Itself.
+    pub px: f64,
+    /// Standard deviation with which it is stated or solved; 0: it is known.
+    pub sigma_px: f64,
+    /// Side of one of the frame's pixels, where the file that states K, or the arm's calibration, says it.
+    pub pitch_mm: Option<f64>,
+}
+
+/// Another focal length, by a frame's own header.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OtherFocal {
+    pub header_px: f64,
+    pub sid_mm: f64,
+    /// The header has no pitch: its distance was divided by K's own.
+    pub own_pitch_mm: Option<f64>,
+    /// K's over the header's, less 1.
+    pub off: f64,
+}
+
+impl Focal {
+    /// The header's, where it is another than this: one rule for poses that are accepted and refused. `None` where the header has no distance,
+    /// or nobody knows a pitch.
+    pub(super) fn other_by(&self, frame: &Frame) -> Option<OtherFocal> {
+        let sid_mm = frame.tags.sid_mm.filter(|sid_mm| *sid_mm > 0.0)?;
+        let (header_px, own_pitch_mm) = match intrinsics_of(frame) {
+            Some((header, ..)) => (header.fx, None),
+            None => {
+                let pitch_mm = self.pitch_mm.filter(|pitch_mm| *pitch_mm > 0.0)?;
+                (sid_mm / pitch_mm, Some(pitch_mm))
+            }
+        };
+        let off = self.px / header_px - 1.0;
+        let differs = !(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * self.sigma_px / header_px));
+        differs.then_some(OtherFocal { header_px, sid_mm, own_pitch_mm, off })
+    }
+}
+
+/// That the focal length of K, `whose` it is, is not that of the frame's own header, where it has one.
 #[must_use]
-pub fn off_header(frame: &Frame, whose: &str, focal_px: f64, sigma_px: f64) -> Option<String> {
-    let (header, ..) = intrinsics_of(frame)?;
-    let off = focal_px / header.fx - 1.0;
-    (!(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx))).then(|| {
-        format!(
-            "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K {whose} is {:.1} % {}: one of the two is not this panel's at \
-             this distance, and depth goes wrong by as much",
-            header.fx,
-            frame.tags.sid_mm.unwrap_or(f64::NAN),
-            100.0 * off.abs(),
-            if off > 0.0 { "longer" } else { "shorter" }
-        )
-    })
+pub fn off_header(frame: &Frame, whose: &str, focal: &Focal) -> Option<String> {
+    let OtherFocal { header_px, sid_mm, own_pitch_mm, off } = focal.other_by(frame)?;
+    let over = own_pitch_mm.map_or(String::new(), |pitch_mm| format!(" over K's own pitch of {pitch_mm:.3} mm"));
+    Some(format!(
+        "the frame's own header says a focal length of {header_px:.0} px (SID {sid_mm:.0} mm{over}), K {whose} is {:.1} % {}: one of the two is not \
+         this panel's at this distance, and depth goes wrong by as much",
+        100.0 * off.abs(),
+        if off > 0.0 { "longer" } else { "shorter" }
+    ))
 }
 
 impl Pose {
     /// Doubts and cautions of an accepted pose, by what the header of its frame says; with a refusal, what else may be its cause.
-    /// `is_undistorted`: places are those of the undistorted picture.
-    pub fn hear_header(&mut self, frame: &Frame, is_undistorted: bool) {
+    /// `is_undistorted`: places are those of the undistorted picture; `focal_sigma_px`: with which K's focal length is stated, 0 where it is known.
+    pub fn hear_header(&mut self, frame: &Frame, is_undistorted: bool, focal_sigma_px: f64) {
         if !self.is_accepted() {
-            self.hear_refused(frame);
+            self.hear_refused(frame, focal_sigma_px);
             return;
         }
         let tags = &frame.tags;
@@ -178,8 +214,32 @@ mod tests {
 
     /// Doubt and cautions.
     fn heard(mut pose: Pose, frame: &Frame, is_undistorted: bool) -> (Option<String>, Vec<String>) {
-        pose.hear_header(frame, is_undistorted);
+        pose.hear_header(frame, is_undistorted, 0.0);
         (pose.doubt, pose.cautions)
+    }
+
+    /// A header with a distance and no pixel spacing said nothing, though the file of K says how large its pixels are.
+    #[test]
+    fn a_header_without_a_pitch_is_read_over_k_s_own() {
+        let told = |sid_mm: Option<f64>, header_mm: Option<f64>, own_mm: Option<f64>, sigma_px: f64| {
+            let frame = frame(|tags| (tags.sid_mm, tags.pitch_mm) = (sid_mm, header_mm.map(|mm| [mm; 2])));
+            off_header(&frame, "as given", &Focal { px: 5000.0, sigma_px, pitch_mm: own_mm })
+        };
+        let words = told(Some(900.0), None, Some(0.2), 0.0).unwrap_or_default();
+        assert!(words.contains("4500 px (SID 900 mm over K's own pitch of 0.200 mm), K as given is 11.1 % longer"), "{words}");
+        // Its own spacing goes before K's.
+        let words = told(Some(900.0), Some(0.25), Some(0.18), 0.0).unwrap_or_default();
+        assert!(words.contains("3600 px (SID 900 mm), K as given is 38.9 % longer"), "{words}");
+        for (sid_mm, own_mm, sigma_px) in [
+            (Some(900.0), None, 0.0),
+            (None, Some(0.2), 0.0),
+            (Some(0.0), Some(0.2), 0.0),
+            (Some(900.0), Some(0.0), 0.0),
+            (Some(990.0), Some(0.2), 0.0),
+            (Some(900.0), Some(0.2), 170.0),
+        ] {
+            assert_eq!(told(sid_mm, None, own_mm, sigma_px), None, "{sid_mm:?}, {own_mm:?}, {sigma_px}");
+        }
     }
 
     /// A picture of an intensifier was registered as that of a panel, without a word.

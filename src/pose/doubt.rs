@@ -271,6 +271,9 @@ impl Case<'_> {
         let pose = &last.solution.camera_from_lps;
         let Some((prior, (squares, _))) = self.request.prior.zip(self.off_prior(pose)) else { return Ok(()) };
         if squares <= FAR_FROM_PRIOR {
+            if let Some(words) = self.off_depth(last, prior) {
+                cautions.doubt(words);
+            }
             return Ok(());
         }
         let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, pose);

@@ -80,7 +80,7 @@ pub enum Refusal {
     Collinear { points: Points, first_mm: f64, second_mm: f64 },
     /// In a plane, with K unknown.
     #[error(
-        "coplanar: beads {points} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics"
+        "coplanar: beads {points} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics (intrinsics in a session)"
     )]
     Coplanar { points: Points, first_mm: f64, second_mm: f64, third_mm: f64 },
     /// The prior's covariance is none, or there is no prior to fuse.
@@ -128,7 +128,7 @@ pub enum Refusal {
     OtherSize { detail: String },
     /// Hardly anything in the frame.
     #[error(
-        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref())
+        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref(), *saturated_share)
     )]
     TooFewShadows {
         found: usize,
@@ -136,6 +136,9 @@ pub enum Refusal {
         /// How many beads the prior puts into the frame, and how many there are; absent without a prior or K.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         prior_puts_into_frame: Option<[usize; 2]>,
+        /// Share of the frame that is saturated, where that may be why.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        saturated_share: Option<f64>,
     },
     /// Nothing matches.
     #[error("no_match: {shadows} bead-like shadows, but no pose puts four of the {beads} beads on them")]
@@ -246,7 +249,7 @@ pub enum Refusal {
     BodySplit { body: String, left_out: usize, seen: usize },
     /// K is solved, and the focal length is not determined.
     #[error(
-        "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics"
+        "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics (intrinsics in a session)"
     )]
     FocalDegenerate { focal_px: f64, sigma_px: f64 },
     /// The pose is too uncertain to be of use.
@@ -255,7 +258,7 @@ pub enum Refusal {
     )]
     Uncertain { turn_deg: f64, across_mm: f64, along_mm: f64, limits: [f64; 3] },
     /// Tags give a pose only to a known camera.
-    #[error("tags_without_intrinsics: tags give a pose only where K is known; give --intrinsics")]
+    #[error("tags_without_intrinsics: tags give a pose only where K is known; give --intrinsics (intrinsics in a session)")]
     TagsWithoutIntrinsics,
     /// None of the listed tags is seen.
     #[error("no_tags: none of the {listed} listed tags reads in the frame{}", others_seen(others))]
@@ -303,15 +306,22 @@ fn against_others(off_px: Option<f64>) -> String {
     }
 }
 
-/// What may bring more shadows into the picture.
-pub(super) const MORE_SHADOWS: &str = "open the collimator, raise the dose, or check --bead-radius";
+/// That so much of a frame shows no beads, because it is at the end of the scale.
+pub(super) fn saturated_words(share: f64) -> String {
+    format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share)
+}
 
-fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {
-    match prior_puts_into_frame {
-        Some([inside, all]) if inside * 2 < *all => format!(
+/// What may bring more shadows into the picture.
+fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>, saturated_share: Option<f64>) -> String {
+    let aim = prior_puts_into_frame.filter(|[inside, all]| inside * 2 < *all).map(|[inside, all]| {
+        format!(
             "by the prior (or telemetry) only {inside} of the {all} beads lie in the frame: aim at the beads, or check where the prior, or world_from_lps, puts them"
-        ),
-        _ => MORE_SHADOWS.to_owned(),
+        )
+    });
+    match (aim, saturated_share.map(saturated_words)) {
+        (Some(aim), Some(saturated)) => format!("{aim}; {saturated}"),
+        (Some(words), None) | (None, Some(words)) => words,
+        (None, None) => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
     }
 }
 

@@ -262,7 +262,7 @@ impl Case<'_> {
         let (found, required) = (self.detections.len(), self.request.fewest());
         if found < required {
             let prior_puts_into_frame = self.request.prior_puts_into_frame();
-            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame }, notes);
+            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame, saturated_share: None }, notes);
         }
         let candidate = self.propose(self.request.prior);
         let near = candidate.as_ref().map(|candidate| self.judge(candidate, notes.clone()));
@@ -331,7 +331,7 @@ impl Case<'_> {
 }
 
 /// K and pixel pitch from a frame's own header, with words that say what was assumed: f = SID / pitch, the principal point in the
-/// middle. `None` when the header lacks either.
+/// middle. `None` when the header lacks either. Where a calibrated K is given is for who asks to say.
 #[must_use]
 pub fn intrinsics_of(frame: &Frame) -> Option<(Intrinsics, f64, String)> {
     let sid_mm = frame.tags.sid_mm.filter(|sid| *sid > 0.0)?;
@@ -340,7 +340,7 @@ pub fn intrinsics_of(frame: &Frame) -> Option<(Intrinsics, f64, String)> {
     let intrinsics =
         Intrinsics { fx: sid_mm / across, fy: sid_mm / down, skew: 0.0, cx: 0.5 * (width - 1.0), cy: 0.5 * (height - 1.0) };
     let note = format!(
-        "K is taken from the header: SID {sid_mm} mm over a pitch of {across} x {down} mm, and the principal point is assumed in the middle; give --intrinsics for a calibrated K"
+        "K is taken from the header: SID {sid_mm} mm over a pitch of {across} x {down} mm, and the principal point is assumed in the middle"
     );
     Some((intrinsics, across, note))
 }

@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
+use super::by_header::{Focal, OtherFocal};
 use super::record::Pose;
-use super::refusal::{MORE_SHADOWS, Refusal};
-use super::register::intrinsics_of;
+use super::refusal::{Refusal, saturated_words};
 use super::verdict::span_mm;
 use crate::acquire::Frame;
 
@@ -12,30 +12,25 @@ use crate::acquire::Frame;
 const PLAUSIBLE_SPAN_MM: (f64, f64) = (40.0, 1500.0);
 /// Layouts narrower than this are in metres rather than in centimetres.
 const METRES_BELOW_MM: f64 = 3.0;
-/// A focal length that is off by more than this share of what the header says is said beside a refusal.
-const OFF_HEADER: f64 = 0.05;
 /// A picture of which more than this share is at the end of the scale shows no beads there.
 const SATURATED: f64 = 0.5;
 
 impl Pose {
-    /// Adds to the reason of a refusal what else is known that may be its cause.
-    pub(super) fn hear_refused(&mut self, frame: &Frame) {
-        // What the session's own checks said, or a fault of this program, has its cause already.
-        let is_explained = matches!(self.refusal, None | Some(Refusal::Layout { .. } | Refusal::Fault { .. }));
-        let Some(mut reason) = self.reason.take_if(|_| !is_explained) else { return };
-        let share = frame.clipping.saturated_share;
-        if share > SATURATED {
-            let words =
-                format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share);
-            reason = match reason.contains(MORE_SHADOWS) {
-                true => reason.replace(MORE_SHADOWS, &words),
-                false => format!("{reason}; {words}"),
-            };
+    /// Adds to the reason of a refusal what else is known that may be its cause; `focal_sigma_px`: with which K's focal length is stated.
+    pub(super) fn hear_refused(&mut self, frame: &Frame, focal_sigma_px: f64) {
+        let mut saturated = Some(frame.clipping.saturated_share).filter(|share| *share > SATURATED);
+        let besides = [self.other_unit(), self.other_focal(frame, focal_sigma_px)];
+        let refusal = match &mut self.refusal {
+            // What the session's own checks said, or a fault of this program, has its cause already.
+            None | Some(Refusal::Layout { .. } | Refusal::Fault { .. }) => return,
+            Some(refusal) => refusal,
+        };
+        // It is what to do about too few shadows, in place of more dose.
+        if let Refusal::TooFewShadows { saturated_share, .. } = refusal {
+            *saturated_share = saturated.take();
         }
-        for words in [self.other_unit(), self.other_focal(frame)].into_iter().flatten() {
-            reason = format!("{reason}; {words}");
-        }
-        self.reason = Some(reason);
+        let besides = saturated.map(saturated_words).into_iter().chain(besides.into_iter().flatten());
+        self.reason = Some(std::iter::once(refusal.to_string()).chain(besides).collect::<Vec<_>>().join("; "));
     }
 
     /// That the beads lie nearer together, or farther apart, than on any specimen.
@@ -56,13 +51,14 @@ impl Pose {
     }
 
     /// That K, as given, is not that of the frame's own header.
-    fn other_focal(&self, frame: &Frame) -> Option<String> {
+    fn other_focal(&self, frame: &Frame, sigma_px: f64) -> Option<String> {
         // K that was solved for a pose that is refused is nobody's word.
         let given =
             self.intrinsics.filter(|_| self.intrinsics_source.as_deref().is_none_or(|source| !source.starts_with("solved")));
-        let (k, (header, ..)) = given.zip(intrinsics_of(frame))?;
-        (!((k.fx / header.fx - 1.0).abs() <= OFF_HEADER))
-            .then(|| format!("K says f {:.0} px, the header's SID and pitch say {:.0} px", k.fx, header.fx))
+        let px = given?.fx;
+        let OtherFocal { header_px, own_pitch_mm, .. } = Focal { px, sigma_px, pitch_mm: self.pitch_mm }.other_by(frame)?;
+        let pitch = if own_pitch_mm.is_some() { "K's own pitch" } else { "pitch" };
+        Some(format!("K says f {px:.0} px, the header's SID and {pitch} say {header_px:.0} px"))
     }
 }
 
@@ -75,12 +71,16 @@ mod tests {
     use crate::image::Image;
     use crate::pose::Registration;
 
+    fn frame(pitch_mm: Option<f64>, saturated_share: f64) -> Frame {
+        let mut frame = Frame::from_pixels("f", Image::filled(64, 48, 1.0f32), Domain::Linear).expect("a frame");
+        (frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(1000.0), pitch_mm.map(|mm| [mm; 2]));
+        frame.clipping.saturated_share = saturated_share;
+        frame
+    }
+
     /// Why it is refused in a frame that says 5000 px and is saturated to this share.
     fn heard(mut pose: Pose, saturated_share: f64) -> String {
-        let mut frame = Frame::from_pixels("f", Image::filled(64, 48, 1.0f32), Domain::Linear).expect("a frame");
-        (frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(1000.0), Some([0.2; 2]));
-        frame.clipping.saturated_share = saturated_share;
-        pose.hear_header(&frame, false);
+        pose.hear_header(&frame(Some(0.2), saturated_share), false, 0.0);
         pose.reason.expect("a reason")
     }
 
@@ -108,13 +108,42 @@ mod tests {
         }
         let words = reason(160.0, 2500.0, 0.1, &none);
         assert!(words.ends_with("K says f 2500 px, the header's SID and pitch say 5000 px"), "{words}");
-        let few = Refusal::TooFewShadows { found: 0, required: 4, prior_puts_into_frame: None };
-        let words = reason(160.0, 5000.0, 0.99, &few);
+        let few = |prior_puts_into_frame: Option<[usize; 2]>| Refusal::TooFewShadows {
+            found: 0,
+            required: 4,
+            prior_puts_into_frame,
+            saturated_share: None,
+        };
+        let words = reason(160.0, 5000.0, 0.99, &few(None));
         assert!(words.contains("99 % of the frame is saturated") && !words.contains("raise the dose"), "{words}");
-        assert!(reason(160.0, 5000.0, 0.1, &few).contains("raise the dose"));
+        assert!(reason(160.0, 5000.0, 0.1, &few(None)).contains("raise the dose"));
+        // The arm looks beside the beads, and too much light is there besides.
+        let words = reason(160.0, 5000.0, 0.99, &few(Some([1, 9])));
+        assert!(
+            words.contains("1 of the 9 beads lie in the frame") && words.contains("; 99 % of the frame is saturated"),
+            "{words}"
+        );
+        let words = reason(160.0, 5000.0, 0.99, &none);
+        assert!(words.starts_with(&none.to_string()) && words.contains("; 99 % of the frame is saturated"), "{words}");
         let solved = Pose { intrinsics_source: Some("solved".to_owned()), ..refused(160.0, 2500.0, &none) };
         assert_eq!(heard(solved, 0.1), none.to_string());
         let told = Refusal::Layout { detail: "told".to_owned() };
         assert_eq!(reason(0.16, 2500.0, 0.99, &told), "told");
+    }
+
+    /// Of K that was 4 % off an accepted pose was in doubt, and nothing was said of one that was refused for it; without a pixel spacing in the
+    /// header nothing was said at all.
+    #[test]
+    fn k_is_off_the_header_by_the_rule_of_accepted_poses() {
+        let none = Refusal::NoMatch { shadows: 9, beads: 9 };
+        let told = |focal_px: f64, header_mm: Option<f64>, own_mm: Option<f64>, sigma_px: f64| {
+            let mut pose = Pose { pitch_mm: own_mm, ..refused(160.0, focal_px, &none) };
+            pose.hear_header(&frame(header_mm, 0.0), false, sigma_px);
+            pose.reason.unwrap_or_default().replacen(&none.to_string(), "", 1)
+        };
+        assert_eq!(told(5200.0, Some(0.2), None, 0.0), "; K says f 5200 px, the header's SID and pitch say 5000 px");
+        assert_eq!(told(5200.0, None, Some(0.2), 0.0), "; K says f 5200 px, the header's SID and K's own pitch say 5000 px");
+        let silent = [told(5100.0, Some(0.2), None, 0.0), told(5200.0, Some(0.2), None, 80.0), told(5200.0, None, None, 0.0)];
+        assert_eq!(silent, [""; 3], "2 %; three of its standard deviations; nobody knows a pitch");
     }
 }

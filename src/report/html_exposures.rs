@@ -127,7 +127,7 @@ fn circumstances(pair: &Pair, standing: Standing) -> Vec<String> {
             format!("{}: {}", pair.binding, pair.binding_evidence.join("; "))
         }
     ));
-    pair.k_source.iter().for_each(|words| item(words.clone()));
+    pair.k_source.iter().for_each(|source| item(source.to_string()));
     if let Some(innovation) = &pair.innovation {
         let [u, v, depth] = innovation.shift_mm;
         let sigmas = innovation.sigmas.map(|sigmas| format!(", {sigmas:.1} standard deviations of the arm")).unwrap_or_default();

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::bead_row::BeadRow;
 use super::canvas::Rgb;
 use super::colour;
+use super::k_source::KSource;
 use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::{Cause, MaskShares};
@@ -204,7 +205,7 @@ pub struct Pair {
     pub rms_mm: Option<f64>,
     /// Where K comes from; absent where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k_source: Option<String>,
+    pub k_source: Option<KSource>,
     /// Beads of the layout, in its order; empty where none were looked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beads: Vec<BeadRow>,

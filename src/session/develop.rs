@@ -17,7 +17,7 @@ use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer, Scatter};
-use crate::report::{BeadRow, Pair, PairStatus, PoseSource};
+use crate::report::{BeadRow, KSource, Pair, PairStatus, PoseSource};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::scene::model::ScatterModel;
@@ -401,8 +401,8 @@ fn row(posed: &Posed) -> Pair {
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.beads = posed.pose.beads.iter().map(BeadRow::of).collect();
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
-    let known = posed.k_source.map(str::to_owned).filter(|_| posed.view.is_some());
-    pair.k_source = posed.pose.solved_k().or(known);
+    let known = posed.k_source.filter(|_| posed.view.is_some());
+    pair.k_source = posed.pose.solved_k().map(|_| KSource::Beads).or(known);
     pair.robot_source = Some(match &posed.robot {
         Some(robot) => robot.source.clone(),
         None => "scene".to_owned(),

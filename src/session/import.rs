@@ -4,10 +4,10 @@
 use std::sync::Arc;
 
 use super::file::Setup;
-use super::stated_k::{StatedK, stated_k};
+use super::stated_k::stated_k;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{CarmCalibration, ConsoleGeometry, PanelWindow};
-use crate::pose::{IntrinsicsFile, whole_binning};
+use crate::pose::{FrameK, IntrinsicsFile, whole_binning};
 use crate::telemetry::CarmSample;
 
 /// What a session knows about its console and panel.
@@ -29,7 +29,7 @@ pub struct Imported {
     /// Why a pose of the frame may be wrong however well it fits: its size is not that of the calibration, and K with it is not known.
     pub doubt: Option<String>,
     /// K that the session states, as it holds for this frame, or why it does not; `None` where it states none.
-    pub stated: Option<Result<StatedK, String>>,
+    pub stated: Option<Result<FrameK, String>>,
     /// Kind and sentence of what a person must know.
     pub warnings: Vec<(&'static str, String)>,
 }

@@ -44,6 +44,7 @@ mod bound;
 mod broadcast;
 mod busy;
 mod chime;
+mod chosen_k;
 mod develop;
 mod developed;
 mod editing;

@@ -9,7 +9,7 @@ use crate::acquire::Frame;
 use crate::geometry::{CarmJoints, Intensifier, Rigid, View};
 use crate::mask::Masks;
 use crate::pose::{Pose, Refusal};
-use crate::report::PoseSource;
+use crate::report::{KSource, PoseSource};
 use crate::telemetry::CarmSample;
 use crate::time::StageTimes;
 use crate::timeline::Binding;
@@ -38,7 +38,7 @@ pub struct Posed {
     /// Which pose is used.
     pub pose_source: PoseSource,
     /// Where K comes from, if not from the beads.
-    pub k_source: Option<&'static str>,
+    pub k_source: Option<KSource>,
     /// The view to render; absent without a pose.
     pub view: Option<View>,
     /// The robot, when telemetry covers the exposure.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::bound::Bound;
+use super::chosen_k::{ChosenK, KnownK};
 use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
@@ -15,15 +16,10 @@ use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::mask::{self, Masks};
 use crate::pose::{self, IntrinsicsPrior, Pose, Prior, Refusal, Registration};
-use crate::report::PoseSource;
+use crate::report::{KSource, PoseSource};
 use crate::reporter::Reporter;
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::BindingFlag;
-
-/// Where K may come from.
-const OF_ARM: &str = "K of the C-arm's calibration";
-const OF_SESSION: &str = "K of the session's intrinsics";
-const OF_HEADER: &str = "K of the frame's header";
 
 /// What is known about a session when a frame is registered.
 #[derive(Clone, Debug)]
@@ -57,8 +53,8 @@ pub struct PoseJob {
     /// How sure K is; `None`: it is known, or solved.
     intrinsics_prior: Option<IntrinsicsPrior>,
     /// Where K comes from, if it is known before the beads are looked at.
-    k_source: Option<&'static str>,
-    /// The session states K, and not for a frame of this size: in words.
+    k_source: Option<KSource>,
+    /// The session states K, and nothing that is for frames of this size: in words.
     misfit: Option<String>,
     /// K is that of the frame's header, or that of another binning: what was assumed.
     header: Option<String>,
@@ -98,26 +94,22 @@ impl PoseJob {
         }
         // Telemetry knows how far the detector was; what is stated stands for frames of which it tells nothing.
         let stated = stated.filter(|_| bound.joints.is_none() || sized.is_none());
-        let off_header = stated.as_ref().and_then(|stated| stated.as_ref().ok()?.off_header(&frame));
-        let (mut misfit, mut intrinsics_prior, mut k_source) = (None, None, intrinsics.map(|_| OF_ARM));
-        let (intrinsics, pitch_mm, header) = match (stated, header) {
-            (Some(Ok(k)), _) => {
-                k_source = Some(OF_SESSION);
-                intrinsics_prior = k.prior;
-                let binned = || format!("K is for a larger picture: the frame is taken as binned {0} x {0}", k.binning);
-                let words = (k.binning > 1).then(binned);
-                (Some(k.intrinsics), k.pitch_mm.or(frame.tags.pitch_mm.map(|[across, _]| across)), words)
-            }
-            (Some(Err(words)), _) => {
-                (misfit, k_source) = (Some(words), None);
-                (None, None, None)
-            }
-            (None, Some((k, pitch_mm, words))) => {
-                k_source = Some(OF_HEADER);
-                (Some(k), Some(pitch_mm), Some(words))
-            }
-            (None, None) => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
-        };
+        let is_measured = bound.joints.is_some_and(|joints| joints.source_to_detector_mm.is_finite());
+        let arm_pitch_mm = sized.map(|carm| carm.pitch_mm);
+        let ChosenK {
+            intrinsics,
+            prior: intrinsics_prior,
+            pitch_mm,
+            source: k_source,
+            note: header,
+            warning,
+            misfit,
+            off_header,
+        } = KnownK { of_arm: intrinsics, arm_pitch_mm, is_measured, stated, header }.choose(&frame);
+        if let Some(words) = warning {
+            reporter.warn("intrinsics", &words);
+            warnings.push(words);
+        }
         // Where the session states K, it is known after all.
         let unfit = off_header.or(unfit.filter(|_| k_source.is_none()));
         let bound = Bound { frame, ..bound };
@@ -225,10 +217,12 @@ impl PoseJob {
         pose.prior_from("by telemetry");
         if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
             pose.doubt(words.clone());
+            pose.cautions.extend(pose.solved_k());
         } else if let Some(words) = pose.solved_k() {
             pose.doubt(format!("{words}, and depth is as uncertain as f is: {K_REMEDY}"));
         }
-        pose.hear_header(&self.bound.frame, self.intensifier.is_some());
+        let focal_sigma_px = self.intrinsics_prior.map_or(0.0, |prior| prior.focal_sigma_px);
+        pose.hear_header(&self.bound.frame, self.intensifier.is_some(), focal_sigma_px);
         pose
     }
 
@@ -248,7 +242,7 @@ impl PoseJob {
         };
         if !fuses
             || self.known.tie_disputed
-            || self.k_source != Some(OF_ARM)
+            || self.k_source != Some(KSource::Carm)
             || matches!(self.intensifier, Some(Err(_)))
             || self.bound.binding.is_guessed()
             || self.bound.binding.flags.iter().any(unsure)

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::record::Pose;
 use super::refusal::{MORE_SHADOWS, Refusal};
 use super::register::intrinsics_of;
-use super::verdict::span_mm;
+use super::span::span_mm;
 use crate::acquire::Frame;
 
 /// Beads on a specimen that a C-arm sees lie at least so far apart, and at most, mm.

@@ -174,18 +174,22 @@ fn of_matching() -> (Vec<Times>, Vec<&'static str>) {
     (times, refused)
 }
 
+/// What the figures are of.
+pub fn built() -> &'static str {
+    if cfg!(debug_assertions) { "debug build with optimization" } else { "release build" }
+}
+
 #[test]
 #[ignore = "minutes long: scripts/evaluate register-times runs it"]
 fn figures() {
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
-    let built = if cfg!(debug_assertions) { "debug build with optimization" } else { "release build" };
     // The first of everything warms up.
     let warm = scene(0, SHADOWS).into_iter().collect::<Vec<_>>();
     matched(&warm, Known { k: true, prior: false });
     let mut times: Vec<Times> = [Domain::Linear, Domain::Display].into_iter().flat_map(of_pictures).collect();
     let (of_matching, refused) = of_matching();
     times.extend(of_matching);
-    println!("{built}, {cores} cores");
+    println!("{}, {cores} cores", built());
     println!("{:44} {:>5} {:>9} {:>9} {:>9}", "milliseconds", "runs", "median", "99 %", "worst");
     times.iter().for_each(|times| println!("{}", times.line()));
     let slow: Vec<&str> = times.iter().filter(|times| times.is_slow()).map(|times| times.what.as_str()).collect();

@@ -10,6 +10,7 @@ use serde_json::Value;
 
 use crate::lab_truth::{counter_of, file_of};
 use crate::live_lab::{HANG_S, Lab, Live};
+use crate::register_times::built;
 
 /// Milliseconds that the median pair of the live size may take, one of 1536², and the null of either, on a machine that does nothing else.
 const PAIR_MS: f64 = 400.0;
@@ -101,6 +102,7 @@ fn times_of(panel_px: Option<&'static str>) -> Option<Found> {
 #[test]
 #[ignore = "minutes long: scripts/evaluate pairs runs it"]
 fn pairs_and_their_nulls() {
+    println!("{}", built());
     // Every figure is printed before any is judged.
     let found = [(None, PAIR_MS), (Some("1536"), LARGE_PAIR_MS)].map(|(panel_px, most_ms)| (times_of(panel_px), most_ms));
     let mut slow = Vec::new();

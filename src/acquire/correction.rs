@@ -10,7 +10,7 @@ use super::flood::ChosenBeam;
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use super::{Domain, Frame, FrameTags, Stored};
 use crate::geometry::{ConsoleGeometry, Intensifier, IntensifierError, PanelWindow};
-use crate::image::Image;
+use crate::image::{Image, quantile};
 use crate::telemetry::CarmSample;
 
 impl Frame {
@@ -340,8 +340,7 @@ fn repair(pixels: &mut Image<f32>, flags: &Image<u8>) -> usize {
                 if good.len() < 3 {
                     return None;
                 }
-                let middle = good.len() / 2;
-                Some((at, *good.select_nth_unstable_by(middle, f32::total_cmp).1))
+                quantile(&mut good, 0.5).map(|middle| (at, middle as f32))
             })
         })
         .collect();

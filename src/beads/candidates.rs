@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// A blob that may be a bead.
 #[derive(Clone, Copy, Debug)]
@@ -242,14 +242,11 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
                 }
             }
         }
-        let middle = inside.len() / 2;
-        let median = if inside.is_empty() { 0.0 } else { *inside.select_nth_unstable_by(middle, f32::total_cmp).1 };
-        median / 0.6745
+        quantile(&mut inside, 0.5).unwrap_or(0.0) as f32 / 0.6745
     };
     let medians: Vec<f32> = (0..tiles_across * tiles_down).into_par_iter().map(median_of).collect();
-    let mut sorted: Vec<f32> = medians.iter().copied().filter(|m| *m > 0.0).collect();
-    sorted.sort_by(f32::total_cmp);
-    let typical = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let mut positive: Vec<f32> = medians.iter().copied().filter(|m| *m > 0.0).collect();
+    let typical = quantile(&mut positive, 0.5).unwrap_or(0.0) as f32;
     let peaks = (1..h - 1).into_par_iter().flat_map_iter(|row| {
         let (response, line) = (&response, &response.pixels[row * w..(row + 1) * w]);
         let medians = &medians[row / TILE * tiles_across..][..tiles_across];

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::correlation::Correlation;
-use crate::image::Image;
+use crate::image::{Image, quantile};
 use crate::units::interpolated;
 
 /// Standard deviation of a pixel's noise against the pixel's value.
@@ -53,8 +53,7 @@ impl Noise {
         let (mut values, mut sigmas) = (Vec::new(), Vec::new());
         for bin in samples.chunks(size).filter(|bin| bin.len() >= 32) {
             let mut seconds: Vec<f32> = bin.iter().map(|sample| sample.1).collect();
-            let middle = seconds.len() / 2;
-            let median = f64::from(*seconds.select_nth_unstable_by(middle, f32::total_cmp).1);
+            let median = quantile(&mut seconds, 0.5).unwrap_or(0.0);
             values.push(bin.iter().map(|sample| f64::from(sample.0)).sum::<f64>() / bin.len() as f64);
             // Quantised images have a median of zero where noise is below half a grey level.
             sigmas.push((median / 0.6745).max(floor));

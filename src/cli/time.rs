@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cli::render::{DeviceArg, QuantityArg};
 use crate::cli::time_changes;
+use crate::estimate::median;
 use crate::foreign::read_small;
 use crate::geometry::{self, Rigid};
 use crate::render::{Goal, Options, RenderError, Renderer};
@@ -182,17 +183,13 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
         times.push(if args.replan { all() } else { rendered.image_ms() });
         (stages, gpu_ms, read_back_bytes) = (rendered.stages, rendered.gpu_ms, rendered.read_back_bytes);
     }
-    let median = |values: &mut Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
     Ok(View {
         plan_ms,
         calibrate_ms,
         prepare_ms: first_prepare_ms,
-        median_ms: median(&mut times),
-        fastest_ms: times[0],
-        wall_ms: median(&mut walls),
+        median_ms: median(times.iter().copied()).unwrap_or(f64::NAN),
+        fastest_ms: times.iter().copied().fold(f64::INFINITY, f64::min),
+        wall_ms: median(walls).unwrap_or(f64::NAN),
         stated_error: plan.stated_error,
         energies: plan.energy_nodes.len(),
         predicted_ms: plan.predicted_ms,

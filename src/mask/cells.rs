@@ -4,6 +4,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::signal::Signal;
+use crate::image::quantile;
 
 /// Cells along the longer side of the frame, at most.
 const MOST_CELLS: usize = 128;
@@ -93,8 +94,7 @@ fn cell(signal: &Signal, columns: [usize; 2], rows: [usize; 2]) -> Cell {
     let middle = &levels[count / 4..count - count / 4];
     let level = middle.iter().sum::<f32>() / middle.len().max(1) as f32;
     let steps = &mut steps[..pairs];
-    steps.sort_unstable_by(f32::total_cmp);
     // The median of |a − b| of two normal numbers is 0.954 of one's standard deviation.
-    let noise = steps.get(pairs / 2).map_or(0.0, |median| median / 0.954);
+    let noise = quantile(steps, 0.5).map_or(0.0, |median| median as f32 / 0.954);
     Cell { level, noise, constant: constant.then_some(first) }
 }

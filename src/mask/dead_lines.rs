@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// A line is looked at in so many parts, and is one where so many say the same.
 const PARTS: usize = 12;
@@ -91,9 +91,8 @@ impl Lines<'_> {
             buffer.clear();
             let looked_at = range.clone().step_by(step).filter(|along| self.usable[self.index(line, *along)]);
             buffer.extend(looked_at.map(of).filter(|value| value.is_finite()));
-            let middle = buffer.len() / 2;
-            let is_enough = buffer.len() >= FEWEST_LOOKS;
-            is_enough.then(|| (f64::from(*buffer.select_nth_unstable_by(middle, f32::total_cmp).1), buffer.len()))
+            let looks = buffer.len();
+            quantile(buffer, 0.5).filter(|_| looks >= FEWEST_LOOKS).map(|middle| (middle, looks))
         };
         let expected = |along: usize| 0.5 * (value(low, along) + value(high, along));
         let (own, looks) = median(&|along| value(line, along) - expected(along))?;

@@ -2,12 +2,13 @@
 //! is shut.
 
 use super::cells::Cells;
-use super::fit::{median, quantile, robust_fit};
+use super::fit::{quantile, robust_fit};
 use super::penumbra::{Penumbra, WIDTHS_PX, penumbra, stepping, unbent};
 use super::profile::{Edge, Profiles, REACH_PX};
 use super::refusal::Refusal;
 use super::shape::FieldShape;
 use super::signal::Signal;
+use crate::estimate::median;
 
 /// Penumbras up to this width, from fully shut to fully open.
 const WIDEST_PENUMBRA_PX: f64 = 26.0;
@@ -178,8 +179,8 @@ impl Beside {
         if near_out.len() < 4 {
             return None;
         }
-        let level = median(&mut near_out.clone())?;
-        let scatter = 1.4826 * median(&mut near_out.iter().map(|x| (x - level).abs()).collect::<Vec<_>>())?;
+        let level = median(near_out.iter().copied())?;
+        let scatter = 1.4826 * median(near_out.iter().map(|x| (x - level).abs()))?;
         let step = quantile(&mut near_in.iter().map(|x| x - level).collect::<Vec<_>>(), 0.8)?;
         Some(Self { station, near_out, near_in, far_in, far_out, level, scatter, step })
     }
@@ -239,8 +240,8 @@ fn beyond(signal: &Signal, cells: &Cells, edge: &Edge, terms: &Terms, beside: &B
         }
     }
     let step = beside.step;
-    let noise = median(&mut noise_outside).unwrap_or(0.0);
-    let inner_noise = median(&mut noise_inside).unwrap_or(0.0);
+    let noise = median(noise_outside).unwrap_or(0.0);
+    let inner_noise = median(noise_inside).unwrap_or(0.0);
     // The mean of the middle half of a few pixels scatters by about 0.25 of one pixel's noise.
     let scatter = 0.25 * if outside.len() >= 8 { noise } else { inner_noise };
     let floor = if outside.len() >= 8 {

@@ -1,5 +1,7 @@
 //! Quantiles and small least squares.
 
+use crate::estimate::median;
+
 /// The value below which `share` of the values lie; reorders them.
 pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     if values.is_empty() {
@@ -9,16 +11,12 @@ pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)
 }
 
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    quantile(values, 0.5)
-}
-
 /// Least squares with weights that fall with the residual, of `unknowns` numbers.
 pub(super) fn robust_fit(points: &[([f64; 3], f64, f64)], unknowns: usize) -> Option<[f64; 3]> {
     if points.len() < unknowns + 1 {
         return None;
     }
-    let mut fit = [median(&mut points.iter().map(|point| point.1).collect::<Vec<_>>())?, 0.0, 0.0];
+    let mut fit = [median(points.iter().map(|point| point.1))?, 0.0, 0.0];
     for round in 0..8 {
         let width = if round < 3 { 4.0 } else { 1.5 };
         let mut normal = [[0.0; 4]; 3];

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::estimate::median;
 use crate::image::Image;
 use crate::units::interpolated;
 
@@ -122,10 +123,7 @@ fn smallest_step(mut values: Vec<f32>) -> f64 {
 
 /// What a quantum adds to a value, at most: from how the variance rises with the value, and as if there were no offset.
 fn most_gain(values: &[f64], sigmas: &[f64]) -> f64 {
-    let middle = |mut of: Vec<f64>| {
-        of.sort_by(f64::total_cmp);
-        of.get(of.len() / 2).copied().unwrap_or(0.0)
-    };
+    let middle = |of: Vec<f64>| median(of).unwrap_or(0.0);
     let variances: Vec<f64> = sigmas.iter().map(|sigma| sigma * sigma).collect();
     let ratio = if values.iter().all(|value| *value > 0.0) {
         middle(variances.iter().zip(values).map(|(variance, value)| variance / value).collect())

@@ -4,10 +4,11 @@ use glam::DVec2;
 
 use super::cells::Cells;
 use super::edge::{Judged, Terms, judge};
-use super::fit::{median, quantile};
+use super::fit::quantile;
 use super::profile::Edge;
 use super::shape::{FieldShape, HalfPlane};
 use super::signal::Signal;
+use crate::estimate::median;
 
 /// One edge must be seen along this share of the frame's shorter side …
 const LONG_SHARE: f64 = 0.25;
@@ -105,17 +106,17 @@ impl Outline {
             }
         }
         let step = self.edges.iter().map(|edge| edge.step).fold(0.0, f64::max);
-        let (Some(level), Some(noise)) = (median(&mut others.0), median(&mut others.1)) else { return 0.0 };
+        let (Some(level), Some(noise)) = (median(others.0.iter().copied()), median(others.1)) else { return 0.0 };
         if others.0.len() < 12 {
             return 0.0;
         }
         let high = quantile(&mut others.0, 0.9).unwrap_or(level);
         let mut excess = (judged.level - high) / (0.06 * step + 2.0 * 0.25 * noise);
         if alone.0.len() >= 6 {
-            let (middle, most) = (median(&mut alone.0).unwrap_or(level), quantile(&mut alone.0, 0.9).unwrap_or(level));
+            let (middle, most) = (median(alone.0.iter().copied()).unwrap_or(level), quantile(&mut alone.0, 0.9).unwrap_or(level));
             excess = excess.max((middle - high) / (0.04 * step + 0.5 * noise)).max((most - high) / (0.1 * step + noise));
             if !signal.is_paint() {
-                let noise_alone = median(&mut alone.1).unwrap_or(noise);
+                let noise_alone = median(alone.1).unwrap_or(noise);
                 excess = excess.max((noise_alone - noise) / (noise + 0.001 * step + 1.1 * f64::from(signal.resolution)));
             }
         }
@@ -133,7 +134,7 @@ impl Outline {
         {
             return;
         }
-        let shut_level = median(&mut self.edges.iter().map(|edge| edge.level).collect::<Vec<_>>());
+        let shut_level = median(self.edges.iter().map(|edge| edge.level));
         let terms = Terms { shape: &self.shape, search_px, least_px, shut_level };
         let Ok(judged) = judge(signal, cells, edge, &terms) else { return };
         if self.edges.iter().any(|known| alike(&known.edge, &judged.edge, cells)) {

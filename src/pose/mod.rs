@@ -45,6 +45,7 @@ mod search;
 mod settle;
 mod shadow;
 mod solve;
+mod span;
 mod start;
 mod straighten;
 mod tables;
@@ -80,10 +81,11 @@ pub use request::Registration;
 pub use residual::{BeadResidual, TagResidual};
 pub use shadow::Shadow;
 pub use solve::{Free, IntrinsicsPrior, image_spread, rounded_px};
+pub use span::span_mm;
 pub use together::{
     Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,
 };
 pub use triangle::align as align_triangles;
 pub use unseen::{Unseen, UnseenBy, WorstBead};
-pub use verdict::{extents_mm, span_mm};
+pub use verdict::extents_mm;
 pub use with_tags::register_tagged;

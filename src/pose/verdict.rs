@@ -40,13 +40,6 @@ pub fn extents_mm(points: &[DVec3]) -> [f64; 3] {
     spread(points).0
 }
 
-/// Between the two points that are farthest apart; 0 of fewer.
-#[must_use]
-pub fn span_mm(points: &[DVec3]) -> f64 {
-    let pairs = points.iter().enumerate().flat_map(|(n, one)| points[n + 1..].iter().map(move |other| one.distance(*other)));
-    pairs.fold(0.0, f64::max)
-}
-
 /// Points closer than this are one point.
 const COINCIDENT_MM: f64 = 0.05;
 /// A layout whose second (third) extent is below this share of its first is a line (a plane).

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::by_header::{Focal, OtherFocal};
 use super::record::Pose;
 use super::refusal::{Refusal, saturated_words};
-use super::verdict::span_mm;
+use super::span::span_mm;
 use crate::acquire::Frame;
 
 /// Beads on a specimen that a C-arm sees lie at least so far apart, and at most, mm.

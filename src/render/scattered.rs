@@ -7,6 +7,7 @@
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::flood::Flood;
 use super::spectrum::Bins;
+use crate::estimate::median;
 use crate::image::Image;
 
 /// Standard errors that the stated error counts: of a normal distribution 99.9 % lie within.
@@ -189,9 +190,7 @@ impl Scatter {
 
     /// Variances of the cells; one that no photon told anything about is as uncertain as the others.
     fn variances(&self) -> Vec<f64> {
-        let mut known: Vec<f64> = self.error.pixels.iter().copied().filter(|error| *error > 0.0).collect();
-        known.sort_by(f64::total_cmp);
-        let usual = known.get(known.len() / 2).copied().unwrap_or(0.0);
+        let usual = median(self.error.pixels.iter().copied().filter(|error| *error > 0.0)).unwrap_or(0.0);
         self.error.pixels.iter().map(|error| if *error > 0.0 { error * error } else { usual * usual }).collect()
     }
 

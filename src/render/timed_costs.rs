@@ -25,6 +25,7 @@ use super::timed_panel;
 use super::timed_scenes::{
     EDGE, FAR_EDGE, cells_per_slab, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes,
 };
+use crate::estimate::median;
 use crate::geometry::View;
 use crate::gpu::cpu_name;
 use crate::image::{cache_file, write_atomically};
@@ -263,9 +264,7 @@ fn after_a_rest(work: &dyn Fn()) -> f64 {
         work();
         watch.ms()
     };
-    let mut all: Vec<f64> = (0..9).map(once).collect();
-    all.sort_by(f64::total_cmp);
-    all[all.len() / 2]
+    median((0..9).map(once)).unwrap_or(f64::NAN)
 }
 
 /// Times that cores are woken for an image: to cast, to attenuate, to mark cut faces, to detect.

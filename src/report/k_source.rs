@@ -14,6 +14,12 @@ pub enum KSource {
     Beads,
 }
 
+/// Whose it is, where the word is one of these: any other tells nothing.
+pub(super) fn known<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<KSource>, D::Error> {
+    let word = <serde_json::Value as serde::Deserialize>::deserialize(deserializer)?;
+    Ok(serde_json::from_value(word).ok())
+}
+
 impl std::fmt::Display for KSource {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {

@@ -204,7 +204,7 @@ pub struct Pair {
     /// The same at the isocentre, mm.
     pub rms_mm: Option<f64>,
     /// Where K comes from; absent where there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "super::k_source::known")]
     pub k_source: Option<KSource>,
     /// Beads of the layout, in its order; empty where none were looked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -2,7 +2,7 @@
 
 use super::colour;
 use crate::compare::Pictures;
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// In place of a difference between what has no common unit.
 pub const NOT_COMPARABLE: &str = "gray values and nepers have no difference; --tone monotone relates them";
@@ -69,8 +69,7 @@ fn spread_is_common(pictures: &Pictures) -> bool {
 
 fn median(image: &Image<f32>) -> f64 {
     let mut values: Vec<f32> = image.pixels.iter().copied().filter(|v| v.is_finite()).collect();
-    let middle = values.len() / 2;
-    colour::ranked(&mut values, middle).unwrap_or(0.0)
+    quantile(&mut values, 0.5).unwrap_or(0.0)
 }
 
 /// A round limit that 99 % of the differences stay within.

@@ -13,6 +13,7 @@ use super::fill::fill_harmonic;
 use super::object_file::{ObjectFile, SphereFile};
 use super::physics::Material;
 use crate::geometry::VoxelGrid;
+use crate::image::quantile;
 
 /// Spheres larger than this are no beads.
 const LARGEST_BEAD_MM: f64 = 5.0;
@@ -156,15 +157,9 @@ fn with_halo(grid: &VoxelGrid, hu: &[f32], ball: &Ball, metal: &[usize], half_di
     }
     // Layers between two slices may be empty.
     let medians: Vec<(usize, f64)> =
-        layers.iter_mut().enumerate().filter_map(|(layer, values)| Some((layer, median(values)?))).collect();
+        layers.iter_mut().enumerate().filter_map(|(layer, values)| Some((layer, quantile(values, 0.5)?))).collect();
     let last_fall = medians.windows(2).filter(|pair| pair[0].1 - pair[1].1 >= LEAST_FALL_HU).map(|pair| pair[1].0).next_back();
     let halo_mm = last_fall.map_or(layer_mm, |layer| layer as f64 * layer_mm).clamp(half_diagonal_mm, most_mm);
     around.retain(|(_, distance_mm)| *distance_mm <= halo_mm);
     (around.into_iter().map(|(index, _)| index).collect(), halo_mm)
-}
-
-/// `None` of nothing. The list is reordered.
-fn median(values: &mut [f32]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
 }

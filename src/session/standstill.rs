@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 use glam::DVec3;
 
 use super::posed::Posed;
+use crate::estimate::median;
 use crate::geometry::{CarmJoints, Rigid};
 
 /// Joints that differ by no more are the same stand: mm and rad. Over so little an arm sags alike.
@@ -118,10 +119,10 @@ impl Standstill {
             return None;
         }
         let depths_mm = others.iter().map(|stand| (self.place(now) - self.place(stand)).dot(now.beam_in_world));
-        let usual_mm = median(depths_mm.clone().collect());
-        let spread_mm = 1.4826 * median(depths_mm.map(|mm| (mm - usual_mm).abs()).collect());
-        let sigma_mm = median(others.iter().map(|stand| stand.sigma_depth_mm).collect());
-        let sag_mm = SAG_MM_PER_DEG * median(others.iter().map(|stand| turn_deg(stand)).collect());
+        let usual_mm = median(depths_mm.clone())?;
+        let spread_mm = 1.4826 * median(depths_mm.map(|mm| (mm - usual_mm).abs()))?;
+        let sigma_mm = median(others.iter().map(|stand| stand.sigma_depth_mm))?;
+        let sag_mm = SAG_MM_PER_DEG * median(others.iter().map(|stand| turn_deg(stand)))?;
         let allowed_mm = OTHER_DEPTH.0 + OTHER_DEPTH.1 * spread_mm + SIGMAS * sigma_mm.hypot(now.sigma_depth_mm) + sag_mm;
         (!(usual_mm.abs() <= allowed_mm)).then(|| {
             let (mm, nearer) = (usual_mm.abs(), if usual_mm < 0.0 { "nearer to the source" } else { "farther from the source" });
@@ -147,11 +148,6 @@ fn enlargement(farther_mm: f64, depth_mm: f64) -> String {
         ": a picture {way} by {:.1} % on its way looks so as well (zoom, crop, source-to-detector distance, pitch)",
         100.0 * share.abs()
     )
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Whether two readings are one stand of the arm; joints without an encoder are NaN in both.

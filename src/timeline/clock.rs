@@ -7,6 +7,8 @@
 
 use std::collections::VecDeque;
 
+use crate::estimate::median;
+
 /// Steepest slope that is believed: crystals are better than this by far.
 pub const MAX_DRIFT: f64 = 500e-6;
 /// Standard deviation of the slope before anything is known.
@@ -265,7 +267,7 @@ fn lower_hull(points: &[Point]) -> Vec<Point> {
 
 /// Median height above the lowest line of this slope.
 fn scatter_above(points: &[Point], drift: f64) -> f64 {
-    let mut heights: Vec<f64> = points.iter().map(|p| p.r_us - drift * p.x_us).collect();
-    heights.sort_by(f64::total_cmp);
-    heights[heights.len() / 2] - heights[0]
+    let heights: Vec<f64> = points.iter().map(|p| p.r_us - drift * p.x_us).collect();
+    let lowest = heights.iter().copied().min_by(f64::total_cmp);
+    median(heights).zip(lowest).map_or(0.0, |(middle, lowest)| middle - lowest)
 }

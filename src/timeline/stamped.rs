@@ -60,7 +60,9 @@ impl Weighed<'_> {
             let Some(next) = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)) else { return };
             highest = Some(next);
         }
-        if let (Some(lowest), Some(highest)) = (lowest, highest) {
+        if let (Some(lowest), Some(highest)) = (lowest, highest)
+            && lowest <= highest
+        {
             stamp.fitting.retain(|at| (lowest..=highest).contains(at));
         }
     }

@@ -15,6 +15,7 @@ use super::rayleigh::Rayleigh;
 use super::source::Source;
 use super::stream::Stream;
 use super::tally::{Batch, Estimate, Tally};
+use crate::estimate::median;
 use crate::geometry::View;
 use crate::scene::model::{Formation, Matter, Scene};
 
@@ -192,9 +193,7 @@ impl<'a> Simulation<'a> {
             let found = tally.scatter(pixel);
             if found.mean > 0.0 { found.standard_error / found.mean } else { f64::INFINITY }
         };
-        let mut errors: Vec<f64> = (0..self.unattenuated.len()).map(of_pixel).collect();
-        errors.sort_unstable_by(f64::total_cmp);
-        errors[errors.len() / 2]
+        median((0..self.unattenuated.len()).map(of_pixel)).unwrap_or(f64::INFINITY)
     }
 
     /// Batches that run side by side: [`Simulation::advance`] takes at most so many.

@@ -1,7 +1,7 @@
 //! Eight bits from pixels of any kind: what the tag decoder reads.
 
 use crate::acquire::{Domain, Frame};
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// Percentiles that become black and white.
 const WINDOW: (f64, f64) = (0.002, 0.998);
@@ -14,7 +14,7 @@ pub fn values(frame: &Frame) -> Image<f32> {
     let pixels = match frame.domain {
         Domain::Linear => {
             // Behind the shutters an offset-corrected signal scatters about zero: what is below a thousandth of the median is black.
-            let floor = quantile(pixels, 0.5).map_or(1.0, |median| (1e-3 * median).max(f32::MIN_POSITIVE));
+            let floor = quantile_of_finite(pixels, 0.5).map_or(1.0, |median| (1e-3 * median).max(f32::MIN_POSITIVE));
             pixels.iter().map(|value| if value.is_nan() { f32::NAN } else { value.max(floor).ln() }).collect()
         }
         Domain::Log => pixels.iter().map(|value| -value).collect(),
@@ -25,7 +25,7 @@ pub fn values(frame: &Frame) -> Image<f32> {
 
 /// The window between two percentiles as 0 to 255; what is not finite is black.
 pub fn windowed(values: &Image<f32>) -> Image<u8> {
-    let ends = quantile(&values.pixels, WINDOW.0).zip(quantile(&values.pixels, WINDOW.1));
+    let ends = quantile_of_finite(&values.pixels, WINDOW.0).zip(quantile_of_finite(&values.pixels, WINDOW.1));
     let (low, high) = ends.filter(|(low, high)| low < high).unwrap_or((0.0, f32::INFINITY));
     // As exact integers where the values are bytes already.
     let scale = if high.is_finite() { 255.0 / (high - low) } else { 0.0 };
@@ -76,11 +76,9 @@ pub fn mirrored(grey: &Image<u8>) -> Image<u8> {
 }
 
 /// The value below which a share of the finite ones lies; `None` when there is none.
-fn quantile(values: &[f32], share: f64) -> Option<f32> {
+fn quantile_of_finite(values: &[f32], share: f64) -> Option<f32> {
     let mut finite: Vec<f32> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    let last = finite.len().checked_sub(1)?;
-    let at = (last as f64 * share).round() as usize;
-    Some(*finite.select_nth_unstable_by(at, f32::total_cmp).1)
+    quantile(&mut finite, share).map(|value| value as f32)
 }
 
 #[cfg(test)]

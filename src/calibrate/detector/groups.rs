@@ -3,6 +3,7 @@
 use super::error::DetectorError;
 use super::measurement::PanelFrame;
 use crate::acquire::{AddedFilter, ExposureLevel, Likeness};
+use crate::image::quantile;
 
 /// What an air map holds for.
 #[derive(Clone, Debug)]
@@ -105,11 +106,7 @@ fn saturated_share(frame: &PanelFrame, saturation: Option<f64>) -> f64 {
 
 /// The middle value; 0 of nothing.
 pub(super) fn median(mut values: Vec<f32>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+    quantile(&mut values, 0.5).unwrap_or(0.0)
 }
 
 /// Median, and the standard deviation that the median absolute deviation of a normal distribution has.

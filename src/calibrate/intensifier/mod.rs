@@ -24,6 +24,7 @@ pub use spots::{GridOf, disc as disc_of};
 use glam::{DMat2, DVec2};
 
 use crate::acquire::Frame;
+use crate::estimate::median;
 use crate::geometry::{AnglesDeg, AnglesFrom, Glare, IntensifierCalibration, IntensifierView};
 use crate::mask::Disc;
 use held_out::ViewFit;
@@ -122,12 +123,8 @@ fn as_in(first: &Polynomial, nodes: &[Node]) -> Option<Vec<Node>> {
     (0..4).find_map(|turns| {
         let turned = |node: &Node| quarter(turns) * node.cell.as_dvec2();
         let offsets: Vec<DVec2> = nodes.iter().map(|node| first.at(node.image_px) - turned(node)).collect();
-        let median = |of: fn(&DVec2) -> f64| {
-            let mut values: Vec<f64> = offsets.iter().map(of).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        let whole = DVec2::new(median(|offset| offset.x), median(|offset| offset.y)).round();
+        let usual = |of: fn(&DVec2) -> f64| median(offsets.iter().map(of));
+        let whole = DVec2::new(usual(|offset| offset.x)?, usual(|offset| offset.y)?).round();
         let there = offsets.iter().filter(|offset| offset.distance(whole) < UNMOVED_CELLS).count();
         let moved = |node: &Node| Node { cell: (turned(node) + whole).round().as_ivec2(), ..*node };
         (there as f64 >= UNMOVED_SHARE * nodes.len() as f64).then(|| nodes.iter().map(moved).collect())

@@ -5,6 +5,7 @@ use glam::DVec2;
 use super::frames::GridFrame;
 use crate::acquire::Frame;
 use crate::beads::{Detection, Expectation, Signal, detect, detect_image, known_at_best};
+use crate::estimate::median;
 use crate::image::Image;
 use crate::mask::{Disc, find_field};
 
@@ -57,22 +58,16 @@ pub fn disc(frames: &[GridFrame], given: Option<Disc>) -> (Disc, String) {
     let large = |disc: &Disc, frame: &Frame| disc.radius_px >= LEAST_DISC * frame.size_px[0].min(frame.size_px[1]) as f64;
     let discs: Vec<Disc> =
         frames.iter().filter_map(|GridFrame { frame, .. }| seen(frame).filter(|disc| large(disc, frame))).collect();
-    if discs.is_empty() {
+    let usual = |of: fn(&Disc) -> f64| median(discs.iter().map(of));
+    let centre = usual(|disc| disc.centre.x).zip(usual(|disc| disc.centre.y));
+    let Some(((x, y), radius_px)) = centre.zip(usual(|disc| disc.radius_px)) else {
         let [width, height] = frames.first().map_or([0, 0], |frame| frame.frame.size_px).map(|n| n as f64);
         let centre = 0.5 * DVec2::new(width - 1.0, height - 1.0);
         let disc = Disc { centre, radius_px: 0.5 * width.min(height) };
         return (disc, "no round mask shows in the frames: the largest disc in the frame is taken for it (--disc)".to_owned());
-    }
-    let median = |of: fn(&Disc) -> f64| {
-        let mut values: Vec<f64> = discs.iter().map(of).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
     };
-    let centre = DVec2::new(median(|disc| disc.centre.x), median(|disc| disc.centre.y));
-    (
-        Disc { centre, radius_px: median(|disc| disc.radius_px) },
-        format!("the round mask was seen in {} of {} frames", discs.len(), frames.len()),
-    )
+    let disc = Disc { centre: DVec2::new(x, y), radius_px };
+    (disc, format!("the round mask was seen in {} of {} frames", discs.len(), frames.len()))
 }
 
 /// The spots of `grid` inside `disc`.
@@ -87,10 +82,8 @@ pub fn find(frame: &Frame, grid: GridOf, disc: &Disc) -> Vec<Spot> {
             detect_image(&bright, Signal::Attenuation, Some(&usable), &expected).found
         }
     };
-    let mut radii: Vec<f64> = found.iter().map(|spot: &Detection| spot.radius_px).collect();
-    radii.sort_by(f64::total_cmp);
-    if let Some(median) = radii.get(radii.len() / 2) {
-        found.retain(|spot| spot.radius_px < ALIKE * median && spot.radius_px * ALIKE > *median);
+    if let Some(median_px) = median(found.iter().map(|spot: &Detection| spot.radius_px)) {
+        found.retain(|spot| spot.radius_px < ALIKE * median_px && spot.radius_px * ALIKE > median_px);
     }
     found.iter().map(Spot::of).collect()
 }

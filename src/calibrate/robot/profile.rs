@@ -5,6 +5,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::estimate::median;
+
 /// Step of the grid of shifts, px.
 const STEP_PX: f64 = 0.5;
 /// Gauss–Newton steps.
@@ -140,9 +142,8 @@ fn solve(samples: &[(f64, f64)], weights: &[f64], unknowns: usize, row: &dyn Fn(
 
 /// Median absolute residual as a standard deviation.
 fn robust_spread(residuals: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = residuals.iter().map(|residual| residual.abs()).collect();
-    let middle = sizes.len() / 2;
-    (sizes.select_nth_unstable_by(middle, f64::total_cmp).1.abs() / 0.6745).max(1e-12)
+    let middle = median(residuals.iter().map(|residual| residual.abs())).unwrap_or(0.0);
+    (middle / 0.6745).max(1e-12)
 }
 
 #[cfg(test)]

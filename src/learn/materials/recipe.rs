@@ -39,6 +39,9 @@ pub struct MaterialsRecipe {
     /// STL files of bones, mm: the network is judged by as many phantoms again, most of which have bones of these.
     #[serde(default)]
     pub meshes: Vec<PathBuf>,
+    /// SHA-256 of these files, in their order: they are known by their content. A training fills it in.
+    #[serde(default)]
+    pub meshes_sha256: Vec<String>,
 }
 
 /// Enough for figures that hardly change with more.
@@ -61,6 +64,7 @@ impl Default for MaterialsRecipe {
             patience: Some(10),
             fresh_phantoms: fresh_phantoms(),
             meshes: Vec::new(),
+            meshes_sha256: Vec::new(),
         }
     }
 }

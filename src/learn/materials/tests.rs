@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::{MaterialsRecipe, TrainedMaterials, phantom, train_materials};
 use crate::infer::materials::MaterialsArchitecture;
 use crate::infer::{JudgedBy, NetworkFiles};
-use crate::learn::{HoldOut, StepRule, TrainOptions, TrainingEnd};
+use crate::learn::{HoldOut, LearnError, StepRule, TrainOptions, TrainingEnd};
 use crate::random::{Purpose, Stream};
 
 /// Phantoms of few voxels.
@@ -96,6 +96,16 @@ fn a_resumed_training_is_the_straight_one() {
         ["", " with meshes"].map(|with| chosen.card.held_out[&format!("threshold error of fresh phantoms{with}")]);
     assert!(plain > 0.0 && meshed > 0.0 && plain != meshed, "other bones: {plain} {meshed}");
     assert!(chosen.card.held_out["dice bone of fresh phantoms"] < 1.0);
+
+    // A mesh that was edited since is another; the same content, written anew, is the one that the training began with.
+    let mut begun = options(folder.path(), "begun", MaterialsRecipe { meshes: vec![mesh.clone()], ..short() });
+    assert_eq!(stop(&begun).end, TrainingEnd::ByCaller);
+    begun.resume = true;
+    std::fs::write(&mesh, wedge().replace("60", "61")).expect("written");
+    let refused = train_materials(&begun, &mut |_| ControlFlow::Continue(())).expect_err("another mesh");
+    assert!(matches!(&refused, LearnError::OtherTraining { what, .. } if what == "meshes_sha256"), "{refused}");
+    std::fs::write(&mesh, wedge()).expect("written");
+    assert_eq!(run(&begun).history.len(), 2);
 
     // Where a specimen is held out, one of the two others chooses in its place.
     let hold_out = HoldOut::Specimens { names: vec!["phantom-53".to_owned()] };

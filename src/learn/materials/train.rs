@@ -13,7 +13,7 @@ use super::loss::Batch;
 use super::patch::{Patch, Prepared};
 use super::phantom::{PhantomMesh, phantom};
 use super::recipe::MaterialsRecipe;
-use crate::image::{hex, sha256_bytes, write_atomically};
+use crate::image::{hex, sha256_bytes, sha256_file, write_atomically};
 use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
 use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkDevice, NetworkFiles, fetched, weights_file};
 use crate::learn::adam::Adam;
@@ -48,11 +48,15 @@ pub fn train_materials(
     options: &TrainOptions<MaterialsRecipe>,
     told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
 ) -> Result<TrainedMaterials, LearnError> {
-    let recipe = &options.recipe;
-    recipe.check()?;
+    options.recipe.check()?;
     check_output(options)?;
-    let meshes = recipe.meshes.iter().map(|path| PhantomMesh::read(path, &Reporter::silent()));
+    let paths = &options.recipe.meshes;
+    let meshes = paths.iter().map(|path| PhantomMesh::read(path, &Reporter::silent()));
     let meshes: Vec<PhantomMesh> = meshes.collect::<Result<_, _>>().map_err(|error| LearnError::Mesh(Box::new(error)))?;
+    let meshes_sha256 = paths.iter().map(|path| sha256_file(path)).collect::<Result<_, _>>()?;
+    let recipe = MaterialsRecipe { meshes_sha256, ..options.recipe.clone() };
+    let options = &TrainOptions { recipe, ..options.clone() };
+    let recipe = &options.recipe;
     let (specimens, samples_sha256) = read(&options.dataset)?;
     let held = held_out(&specimens, &recipe.hold_out, recipe.seed)?;
     let aside = set_aside(&specimens, &held, recipe)?;

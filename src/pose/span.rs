@@ -114,11 +114,14 @@ mod tests {
         (0..count).map(|_| DVec3::new(number(), number(), number())).collect()
     }
 
+    /// What becomes of a point of the cloud.
+    type Moved = fn(&DVec3) -> DVec3;
+
     #[test]
     fn the_span_is_that_of_all_pairs_to_the_last_bit() {
         for (seed, count) in [0, 1, 2, 3, 16, 17, 40, 200, 700, 701, 702].into_iter().enumerate() {
             let scattered = cloud(seed as u64, count);
-            let kinds: [(&str, fn(&DVec3) -> DVec3); 5] = [
+            let kinds: [(&str, Moved); 5] = [
                 ("a cube", |p| *p),
                 ("a sphere", |p| 83.0 * p.normalize() + DVec3::new(4e3, -7.0, 0.1)),
                 ("a line", |p| DVec3::new(p.x, 2.0 * p.x, 0.0)),

@@ -38,6 +38,7 @@ mod binding_days;
 mod binding_draw;
 mod binding_oddities;
 mod binding_play;
+mod binding_sequence;
 mod binding_sessions;
 mod binding_words;
 mod beads_bound;

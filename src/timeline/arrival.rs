@@ -34,6 +34,9 @@ impl Weighed<'_> {
             words.push("it lacks the stamp or counter that other frames have".to_owned());
             return none(words);
         }
+        if let Some(judgement) = self.by_sequence(arrival_us) {
+            return judgement;
+        }
         if unlearnt && !self.known.finished {
             words.push("what the console's clock and counter mean was not known when this frame was judged".to_owned());
             return none(words);

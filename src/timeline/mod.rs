@@ -21,6 +21,7 @@ mod learning;
 mod orderly;
 mod rate;
 mod segments;
+mod sequence;
 mod series;
 mod shots;
 mod stamped;

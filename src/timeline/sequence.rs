@@ -1,8 +1,8 @@
 //! A frame told by its place in the sequence: pictures off a monitor come nearly equally long after their exposures, so that the times between
 //! them are those between the exposures. Where these differ, only one delay makes them agree.
 //!
-//! What another delay explains nearly as well is not told: exposures as even as a clock's ticks stay ambiguous. Around a picture that is missing
-//! or comes as none else does the delay may have changed; what follows must then tell by its own times.
+//! What another delay explains nearly as well is not told: exposures as even as a clock's ticks stay ambiguous. Where a picture is missing, or
+//! comes as none else does, the delay may have changed: what lies before it and what follows must tell each by its own times.
 
 use super::console::Bounds;
 use super::evidence::{BindingHow, seconds};
@@ -21,8 +21,6 @@ const EARLIEST_US: i64 = -2_000_000;
 const LATEST_US: i64 = 30_000_000;
 /// The shortest delay that is believed.
 const SOONEST_US: i64 = 50_000;
-/// An exposure without a frame so long before another makes that one doubtful, and so does a strange frame.
-const DOUBT_US: i64 = 8_000_000;
 /// Frames that agree, at least, of all that are there and of all exposures meanwhile, in tenths.
 const LEAST: usize = 6;
 const OF_FRAMES: usize = 8;
@@ -137,9 +135,9 @@ impl<'a> Sequence<'a> {
     /// Whether the frames around the one at `frame`, as far as each exposure has its frame and each frame its exposure, have this delay in common
     /// and no other, whatever those farther off say. `due`: exposures whose frames are there if they come.
     fn tells_by_itself(&self, frame: usize, exposure: usize, due: &[usize]) -> bool {
-        let lacks = |at: &&usize| self.ended[**at].frames == 0;
-        let before = due.iter().filter(lacks).rfind(|at| **at < exposure).copied();
-        let after = due.iter().filter(lacks).find(|at| **at > exposure).copied();
+        let is_odd = |at: &&usize| self.ended[**at].frames != 1;
+        let before = due.iter().filter(is_odd).rfind(|at| **at < exposure).copied();
+        let after = due.iter().filter(is_odd).find(|at| **at > exposure).copied();
         let within = |at: usize| before.is_none_or(|before| at > before) && after.is_none_or(|after| at < after);
         let from = (0..frame).rev().find(|at| self.own[*at].is_none()).map_or(0, |at| at + 1);
         let to = (frame..self.own.len()).find(|at| self.own[*at].is_none()).unwrap_or(self.own.len());
@@ -177,10 +175,8 @@ impl Weighed<'_> {
         if 10 * sequence.explained < OF_EXPOSURES * meanwhile || !self.is_of_one_console(&sequence) {
             return None;
         }
-        let lacking = (0..exposure).any(|at| waits(at) && arrival_us.saturating_sub(sequence.ended[at].end_us) <= DOUBT_US);
-        let near_us = |at: usize| sequence.arrivals_us[at].saturating_sub(arrival_us).saturating_abs();
-        let strange = (0..sequence.own.len()).any(|at| sequence.own[at].is_none() && near_us(at) <= DOUBT_US);
-        if (lacking || strange) && !sequence.tells_by_itself(place, exposure, &due)
+        let is_whole = sequence.own.iter().all(Option::is_some) && due.iter().all(|at| sequence.ended[*at].frames == 1);
+        if !is_whole && !sequence.tells_by_itself(place, exposure, &due)
             || !(self.stray_risk(&sequence, &due, arrival_us) <= RISK)
         {
             return None;

@@ -36,6 +36,7 @@ mod binding;
 mod binding_cases;
 mod binding_days;
 mod binding_draw;
+mod binding_images;
 mod binding_oddities;
 mod binding_play;
 mod binding_sequence;

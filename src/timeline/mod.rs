@@ -5,6 +5,7 @@
 
 mod agreement;
 mod alignment;
+mod apart;
 mod arrival;
 mod binder;
 mod clock;

@@ -34,7 +34,9 @@ impl Weighed<'_> {
             words.push("it lacks the stamp or counter that other frames have".to_owned());
             return none(words);
         }
-        if let Some(judgement) = self.by_sequence(arrival_us) {
+        // Of exposures farther apart the arrival alone tells.
+        let is_close = prompt.len() > 1 || prompt.iter().any(|at| self.known.shots.get(*at).prompt_frames > 1);
+        if is_close && let Some(judgement) = self.by_sequence(arrival_us) {
             return judgement;
         }
         if unlearnt && !self.known.finished {

@@ -67,6 +67,7 @@ pub fn played_at(
             // What never came was exported afterwards.
             arrival_us: arrival_s.is_finite().then(|| us(*arrival_s)),
             frame_time_us: None,
+            image_times_us: Vec::new(),
             last_image: false,
             completes: None,
         },

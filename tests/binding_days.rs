@@ -282,6 +282,7 @@ fn session(
             console_resolution_us: console.resolution_s.map_or(1_000_000, us).max(1),
             arrival_us: Some(T0_US + us(arrival_s)),
             frame_time_us: None,
+            image_times_us: Vec::new(),
             last_image: false,
             completes: None,
         };

@@ -217,6 +217,7 @@ pub fn odd_session(seed: u64, oddity: Oddity) -> Session {
             console_resolution_us: us(resolution_s),
             arrival_us: Some(T0_US + us(picture.arrival_s)),
             frame_time_us: None,
+            image_times_us: Vec::new(),
             last_image: false,
             completes: None,
         },

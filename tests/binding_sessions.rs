@@ -316,6 +316,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
                 console_resolution_us: if resolution_us == 60_000_000 { 1_000_000 } else { resolution_us },
                 arrival_us: Some(T0_US + us(at_s)),
                 frame_time_us: None,
+                image_times_us: Vec::new(),
                 last_image: false,
                 completes: None,
             },

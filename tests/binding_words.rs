@@ -35,7 +35,8 @@ fn an_arrival_that_leaves_a_doubt_is_said_to_be_ambiguous_and_one_as_usual_is_no
     // later; of which frame is spoken, and what is told of it.
     let cases = [
         (17.0, 1.5, false, 13, "and no other was near", false),
-        (3.0, 1.5, false, 13, "2 exposures ended within 6.000 s before the frame arrived: ambiguous", true),
+        (3.0, 1.5, false, 13, "frames around it came 1.", false),
+        (3.0, 2.2, false, 13, "2 exposures ended within 6.000 s before the frame arrived: ambiguous", true),
         (17.0, 1.5, true, 14, "several frames came after exposure 14: ambiguous", true),
         (17.0, 4.0, false, 13, "s after exposure 14, others come after ", true),
     ];

@@ -1,4 +1,4 @@
-//! Files of many images that were taken during one exposure, through `live`.
+//! Files of many images that were taken during one exposure, or each during its own, through `live`.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use dicom_dictionary_std::tags;
 use serde_json::Value;
 
 use crate::lab_truth::{TIME_US, began_us, hand_on, pairs, poses, put, scripted, wait_for_pairs};
-use crate::live_lab::{HANG_S, Lab, Live, Signal, many_images};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, many_images};
 
 const DURATION_S: f64 = 20.0;
 const EXPOSURE_S: f64 = 1.2;
@@ -81,4 +81,51 @@ fn images_of_a_run_share_their_exposure_and_have_each_its_own_time_and_robot() {
         assert!(apart > 0.5, "{name}: the robot moved from image to image: {angles:?}");
     }
     assert!(!live.stderr().contains("exposures have no frame"), "{}", live.stderr());
+}
+
+/// A series of three exposures in one file with one stamp: all three pictures were of the first, with its joints. With the times from image to
+/// image each has its own, without them none has one, and that is said.
+#[test]
+fn images_of_a_series_in_one_file_have_each_its_own_exposure_or_none() {
+    for says_times in [true, false] {
+        let lab = ["--duration-s", "20", "--exposures", "6", "--faults", "none", "--await-all", "--idle-s", "300"];
+        let Some(lab) = Lab::start_without_ct(&lab) else { return };
+        let folder = lab.kit.join("exported");
+        std::fs::create_dir(&folder).expect("a folder");
+        let session = lab.session("series.json", |session| session["frames"]["folder"] = "exported".into());
+        let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+        hand_on(&lab, &folder, 3, |_, frame, to| frame.write_to_file(to).expect("written"));
+        let file = |counter: u32| lab.frames().join(format!("frame-{counter:03}.dcm"));
+        let is_there = eventually(HANG_S, || dicom_object::open_file(file(6)).is_ok().then_some(()));
+        assert!(is_there.is_some(), "{}", live.stderr());
+        let staged = lab.kit.join("series.part");
+        many_images(&file(4), 3, &staged);
+        if says_times {
+            let mut series = dicom_object::open_file(&staged).expect("a series");
+            let began_us = [4, 5, 6].map(|counter| began_us(&file(counter)));
+            let [second_ms, third_ms] = [1, 2].map(|image| (began_us[image] - began_us[image - 1]) / 1000);
+            put(&mut series, tags::FRAME_TIME_VECTOR, VR::DS, &format!("0\\{second_ms}\\{third_ms}"));
+            series.write_to_file(&staged).expect("written");
+        }
+        std::fs::rename(staged, folder.join("series.dcm")).expect("renamed");
+        wait_for_pairs(&live, 6);
+        live.signalled(Signal::INT);
+        assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
+
+        let counters = |poses: &[Value]| -> Vec<Option<u64>> {
+            poses.iter().map(|pose| pose["binding"]["exposure"]["counter"].as_u64()).collect()
+        };
+        let (pairs, found) = (pairs(&live), counters(&poses(&live)));
+        let untold = pairs.iter().filter(|pair| {
+            pair["binding"] == "none"
+                && pair["binding_evidence"].to_string().contains("one file of 3 images came when 3 exposures")
+        });
+        match says_times {
+            true => assert_eq!(found, [1, 2, 3, 4, 5, 6].map(Some), "{pairs:#?} {}", live.stderr()),
+            false => {
+                assert_eq!(found, [Some(1), Some(2), Some(3), None, None, None], "{pairs:#?} {}", live.stderr());
+                assert_eq!(untold.count(), 3, "{pairs:#?}");
+            }
+        }
+    }
 }

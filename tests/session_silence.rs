@@ -1,6 +1,7 @@
 //! Devices that can no longer be heard, through `live`: what has cost frames their telemetry is a loss, and is said while it happens.
 
 use crate::live_lab::{HANG_S, Lab, Live};
+use crate::log_lab::replay;
 
 /// Plays a session with `faults`; the exit code, what was printed, the report.
 fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
@@ -57,6 +58,31 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
             }
         })
     });
+}
+
+/// Another C-arm behind the port was a warning: the session ended with 0, and its report said that nothing was lost.
+#[test]
+fn another_device_in_the_place_of_the_first_is_a_loss() {
+    for (faults, device) in [("carm:other@0.4", Some("C-arm")), ("robot:other@0.4", Some("robot")), ("none", None)] {
+        let lab = ["--duration-s", "6", "--faults", faults, "--exposures", "2", "--linger-s", "5"];
+        let Some(lab) = Lab::start_without_ct(&lab) else { return };
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "8"]);
+        let code = live.program.end(HANG_S).expect("it ends").code();
+        let (words, told) =
+            (format!("{faults}: exit code {code:?}\n{}{}", live.stdout(), live.stderr()), "is another one than before");
+        let lost = |text: &str| text.lines().filter(|line| line.contains("lost: the ") && line.contains(told)).count();
+        assert_eq!(lost(&words), usize::from(device.is_some()), "{words}");
+        // Of two devices the one that it is; of nobody the number.
+        let report = live.report();
+        let losses = report.split("Losses").nth(1).and_then(|rest| rest.split("Warnings").next()).expect("the report's list");
+        assert!(device.is_none_or(|device| code == Some(3) && losses.contains(&format!("the {device} {told}"))), "{words}");
+        assert!(!report.contains("-OTHER") && !words.contains("-OTHER"), "{words}");
+        // The log tells of it as well: a replay says the same.
+        let (_, replayed) = replay(&live.log, &lab.kit, &folder.path().join("replayed"));
+        let again = replayed["session_losses"].as_array().expect("a list").iter().filter_map(|loss| loss.as_str());
+        assert_eq!(again.filter(|loss| loss.contains(told)).count(), usize::from(device.is_some()), "{replayed:#}");
+    }
 }
 
 /// Steps of the device's clock, as the report's table of links has them.

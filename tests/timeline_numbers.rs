@@ -80,6 +80,7 @@ fn evidence(frame: u32, message: &Message) -> FrameEvidence {
         console_resolution_us: message.host_us,
         arrival_us: (!message.robot).then_some(message.host_us),
         frame_time_us: Some(message.host_us),
+        image_times_us: Vec::new(),
         last_image: false,
         completes: None,
     }

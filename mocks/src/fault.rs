@@ -23,7 +23,7 @@ use crate::MockError;
 use crate::pty::Line;
 
 /// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`, `Away`), or for good (`Mute`, `Gone`,
-/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`).
+/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Other`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -59,11 +59,13 @@ pub enum FaultKind {
     Back,
     /// The device's clock counts milliseconds in place of microseconds.
     Millis,
+    /// Another device of the same kind goes on in its place: by its serial number alone.
+    Other,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -80,6 +82,7 @@ impl FaultKind {
         Self::Ahead,
         Self::Back,
         Self::Millis,
+        Self::Other,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -102,6 +105,7 @@ impl FaultKind {
             Self::Ahead => "ahead",
             Self::Back => "back",
             Self::Millis => "millis",
+            Self::Other => "other",
         }
     }
 }
@@ -190,10 +194,16 @@ impl Channel {
             }
         }
         match self.due.pop_front() {
-            // A clock is the device's, not the line's.
+            // A clock is the device's, not the line's, and so is its number.
             None
             | Some(
-                FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump | FaultKind::Ahead | FaultKind::Back | FaultKind::Millis,
+                FaultKind::Freeze
+                | FaultKind::Restart
+                | FaultKind::Jump
+                | FaultKind::Ahead
+                | FaultKind::Back
+                | FaultKind::Millis
+                | FaultKind::Other,
             ) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),

@@ -118,6 +118,7 @@ pub fn play(
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
                     FaultKind::Back => sender.epoch_us = sender.epoch_us.saturating_sub(HOUR_US),
                     FaultKind::Millis => sender.run_clock_at(now_s, 1e-3),
+                    FaultKind::Other => sender.is_other = true,
                     FaultKind::Away => {
                         sender.pass_an_hour();
                         sender.channel.inject(FaultKind::Away);
@@ -211,6 +212,8 @@ struct Sender {
     began_s: f64,
     /// Seconds that its clock advances in one, but for `ppm`.
     clock_rate: f64,
+    /// It is another one than in the beginning.
+    is_other: bool,
 }
 
 /// The list of what was sent.
@@ -275,6 +278,7 @@ impl Sender {
             frozen_s: None,
             began_s: 0.0,
             clock_rate: 1.0,
+            is_other: false,
         }
     }
 
@@ -345,7 +349,10 @@ impl Sender {
                 self.seconds += 1;
                 // No line says who prints it.
                 if self.dialect.is_none() {
-                    let metadata = if self.device == Device::Carm { carm_metadata() } else { robot_metadata() };
+                    let mut metadata = if self.device == Device::Carm { carm_metadata() } else { robot_metadata() };
+                    if self.is_other {
+                        metadata.texts[0].push_str("-OTHER");
+                    }
                     let stamp = self.stamp(at_s);
                     self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
                 }

@@ -19,6 +19,8 @@ const MOST_FIELD_MM: f64 = 5000.0;
 
 /// No blades have more corners.
 const MOST_CORNERS: usize = 64;
+/// No series of exposures in one file has more images.
+const MOST_OF_SERIES: usize = 64;
 
 /// The attributes of an opening.
 struct OpeningTags {
@@ -133,6 +135,13 @@ impl<'a> TagReader<'a> {
             return Vec::new();
         }
         numbers
+    }
+
+    /// Of a file of many images one time stands for all: they are of one exposure.
+    fn frame_times_ms(&mut self) -> Vec<f64> {
+        let times_ms = self.numbers(tags::FRAME_TIME_VECTOR);
+        let is_series = times_ms.len() <= MOST_OF_SERIES && times_ms.iter().all(|ms| *ms >= 0.0);
+        if is_series { times_ms } else { Vec::new() }
     }
 
     pub(super) fn number(&mut self, tag: Tag) -> Option<f64> {
@@ -337,6 +346,7 @@ impl<'a> TagReader<'a> {
             exposure_ms: self.positive(tags::EXPOSURE_TIME),
             radiation_setting: self.term(tags::RADIATION_SETTING, "radiation_setting"),
             frame_time_ms: self.positive(tags::FRAME_TIME),
+            frame_times_ms: self.frame_times_ms(),
             exposure_uas: self.positive(tags::EXPOSURE_INU_AS).or(exposure_mas.map(|mas| mas * 1000.0)),
             exposure_counter: self.counter(tags::ACQUISITION_NUMBER),
             instance_number: self.counter(tags::INSTANCE_NUMBER),

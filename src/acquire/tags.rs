@@ -22,7 +22,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 60] = [
+pub const KEPT_TAGS: [KeptTag; 61] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -38,6 +38,7 @@ pub const KEPT_TAGS: [KeptTag; 60] = [
     kept(tags::EXPOSURE_TIME, "exposure_ms", "length of the exposure interval"),
     kept(tags::RADIATION_SETTING, "radiation_setting", "SC or GR: fluoroscopy, whose last image is held, or a radiograph"),
     kept(tags::FRAME_TIME, "frame_time_ms", "from image to image of a run"),
+    kept(tags::FRAME_TIME_VECTOR, "frame_times_ms", "the same, of each image"),
     kept(tags::X_RAY_TUBE_CURRENT, "tube_ma", "dose"),
     kept(tags::EXPOSURE, "exposure_uas", "dose, in mAs, when the finer attribute is missing"),
     kept(tags::EXPOSURE_INU_AS, "exposure_uas", "dose"),
@@ -128,6 +129,9 @@ pub struct FrameTags {
     /// From image to image of a run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_time_ms: Option<f64>,
+    /// The same, from the image before each, of a file of so few images that it may be a series; the first is 0.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frame_times_ms: Vec<f64>,
     /// Exposure in µAs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_uas: Option<f64>,
@@ -212,6 +216,17 @@ pub struct FrameTags {
 const LARGEST_INTENSIFIER_MM: f64 = 420.0;
 
 impl FrameTags {
+    /// How long after the first each image of the file was taken, µs, where it says so of each.
+    #[must_use]
+    pub fn image_times_us(&self) -> Vec<i64> {
+        let first_ms = self.frame_times_ms.first().copied().unwrap_or(0.0);
+        let after_ms = self.frame_times_ms.iter().scan(-first_ms, |sum_ms, step_ms| {
+            *sum_ms += step_ms;
+            Some(*sum_ms)
+        });
+        after_ms.map(|ms| (ms * 1e3).round() as i64).collect()
+    }
+
     /// Whether they say anything of which exposure the frame is of.
     #[must_use]
     pub fn names_exposure(&self) -> bool {

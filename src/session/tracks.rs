@@ -13,6 +13,15 @@ const TRACK_STEP_US: i64 = 100_000;
 /// Samples kept of a track; when there are more, every second one goes and the step doubles.
 const MOST_SAMPLES: usize = 20_000;
 
+/// What a sample says of the device that the one before did not, in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum News {
+    /// Worth a warning.
+    Told(String),
+    /// Whatever rests on the device's calibration is lost from here on.
+    Lost(String),
+}
+
 /// Values at a bounded number of times.
 #[derive(Debug)]
 struct Thinned<T> {
@@ -100,8 +109,8 @@ impl Tracks {
         }
     }
 
-    /// Takes a sample; what it says of the device that the one before did not, in words.
-    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) -> Option<String> {
+    /// Takes a sample; what it says of the device that the one before did not.
+    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) -> Option<News> {
         let (device, status) = match sample {
             Sample::Carm(carm) => {
                 self.joints.push(host_us, carm.joints);
@@ -116,21 +125,22 @@ impl Tracks {
         let link = self.link(device);
         link.first_us.get_or_insert(host_us);
         link.last_us = Some(host_us);
-        self.news_of(device, status)
+        self.news_of(device, status).map(News::Told)
     }
 
     /// Whether another device answers than before. Its numbers stand in the log alone.
-    fn another(&mut self, metadata: &Metadata) -> Option<String> {
+    fn another(&mut self, metadata: &Metadata) -> Option<News> {
         let named = [metadata.serial_number.clone(), metadata.calibration_id.clone()];
         let device = metadata.device;
         let before = self.named.insert(device, named)?;
         let [serial, calibration] = &self.named[&device];
-        let words = match (before[0] != *serial, before[1] != *calibration) {
-            (true, _) => "is another one than before: its serial number changed, and the session's calibration is of the first",
-            (false, true) => "names another calibration than before",
-            (false, false) => return None,
-        };
-        Some(format!("the {device} {words}"))
+        match (before[0] != *serial, before[1] != *calibration) {
+            (true, _) => Some(News::Lost(format!(
+                "the {device} is another one than before: its serial number changed, and the session's calibration is of the first"
+            ))),
+            (false, true) => Some(News::Told(format!("the {device} names another calibration than before"))),
+            (false, false) => None,
+        }
     }
 
     fn news_of(&mut self, device: DeviceKind, status: u32) -> Option<String> {
@@ -225,10 +235,9 @@ mod tests {
             tracks.sample(0, &Sample::Metadata(metadata))
         };
         assert_eq!([says("SNAKE-9", "a"), says("SNAKE-9", "a")], [None, None]);
-        assert!(
-            says("SNAKE-10", "a").is_some_and(|words| words.contains("the robot is another one") && !words.contains("SNAKE"))
-        );
+        let Some(News::Lost(words)) = says("SNAKE-10", "a") else { panic!("another device is a loss") };
+        assert!(words.contains("the robot is another one") && !words.contains("SNAKE"), "{words}");
         assert_eq!(says("SNAKE-10", "a"), None);
-        assert!(says("SNAKE-10", "b").is_some_and(|words| words.contains("another calibration")));
+        assert!(matches!(says("SNAKE-10", "b"), Some(News::Told(words)) if words.contains("another calibration")));
     }
 }

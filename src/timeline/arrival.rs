@@ -34,6 +34,11 @@ impl Weighed<'_> {
             words.push("it lacks the stamp or counter that other frames have".to_owned());
             return none(words);
         }
+        // Of exposures farther apart the arrival alone tells.
+        let is_close = prompt.len() > 1 || prompt.iter().any(|at| self.known.shots.get(*at).prompt_frames > 1);
+        if is_close && let Some(judgement) = self.by_sequence(arrival_us) {
+            return judgement;
+        }
         if unlearnt && !self.known.finished {
             words.push("what the console's clock and counter mean was not known when this frame was judged".to_owned());
             return none(words);

@@ -10,6 +10,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Timeline;
+use super::apart::of_its_own;
 use super::console::ConsoleClock;
 use super::evidence::{Binding, BindingFlag, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
@@ -66,7 +67,7 @@ impl Binder {
             let mut own = Binding::default();
             if let Some(pending) = self.known.frames.get_mut(&first) {
                 pending.images.push(frame);
-                own = within_run(&pending.binding, &evidence);
+                own = of_image(pending, &evidence);
             }
             self.stands_for.insert(frame, (first, own));
             // Kept for its own place within the run.
@@ -126,7 +127,7 @@ impl Binder {
         let frame = evidence.frame;
         pending.images.retain(|image| *image != before);
         pending.images.push(frame);
-        let own = within_run(&pending.binding, evidence);
+        let own = of_image(pending, evidence);
         let images = &mut self.known.contents.entry(evidence.content.clone()).or_insert((first, BTreeMap::new())).1;
         images.insert(evidence.image_of_file[0], frame);
         self.stands_for.insert(frame, (first, own));
@@ -278,6 +279,7 @@ impl Binder {
             for frame in self.known.open.iter().copied().collect::<Vec<u32>>() {
                 let Some(pending) = self.known.frames.get(&frame) else { continue };
                 let judgement = Weighed { known: &self.known, timeline, newest_us, now_us, pending }.judge();
+                let judgement = self.known.judge_images(&pending.evidence, judgement, timeline);
                 bound |= self.conclude(timeline, frame, judgement, newest_us, now_us);
             }
             if !bound {
@@ -291,6 +293,14 @@ impl Binder {
             Judgement::Of { shot, how, evidence, teaches } => {
                 let Some(exposure) = timeline.exposure(self.known.shots.get(shot).index) else { return false };
                 if let Some(binding) = self.known.bind(frame, shot, exposure.clone(), how, evidence, teaches) {
+                    self.tell(frame, binding);
+                }
+                return true;
+            }
+            Judgement::OfEach { first, how, evidence } => {
+                let Some(exposures) = self.known.bind_each(frame, first, timeline) else { return false };
+                let said = self.known.frames.get(&frame).map(|pending| &pending.evidence);
+                if let Some(binding) = said.map(|said| of_its_own((how, evidence.as_slice()), &exposures, said)) {
                     self.tell(frame, binding);
                 }
                 return true;
@@ -317,10 +327,10 @@ impl Binder {
         }
         self.changed.insert(frame);
         pending.binding = binding;
-        let (binding, images) = (pending.binding.clone(), pending.images.clone());
-        for image in images {
+        let run = pending.clone();
+        for image in run.images.iter().copied() {
             let Some(own) = self.known.frames.get(&image) else { continue };
-            let own = within_run(&binding, &own.evidence);
+            let own = of_image(&run, &own.evidence);
             self.stands_for.insert(image, (frame, own));
             self.changed.insert(image);
         }
@@ -335,6 +345,14 @@ fn aside(words: String, flag: BindingFlag) -> Binding {
 /// What a frame has before it was judged.
 fn waiting() -> Binding {
     Binding { evidence: vec!["telemetry has not yet reached the frame's arrival".to_owned()], ..Binding::default() }
+}
+
+/// The binding of one image of the file for which `file` stands.
+fn of_image(file: &Pending, image: &FrameEvidence) -> Binding {
+    match file.apart.is_empty() {
+        true => within_run(&file.binding, image),
+        false => of_its_own((file.binding.how, file.binding.evidence.as_slice()), &file.apart, image),
+    }
 }
 
 /// The binding of a run as it is for one of its images.

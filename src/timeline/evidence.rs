@@ -25,6 +25,9 @@ pub struct FrameEvidence {
     pub arrival_us: Option<i64>,
     /// Time from image to image of a run, where the file says it.
     pub frame_time_us: Option<i64>,
+    /// How long after the first each image of the file was taken, where it says so of each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub image_times_us: Vec<i64>,
     /// By its tags it is the last image held of a beam: taken when that ended.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub last_image: bool,
@@ -46,6 +49,7 @@ impl FrameEvidence {
             console_resolution_us: resolution_us(tags.acquired_time.as_deref().unwrap_or_default()),
             arrival_us,
             frame_time_us: tags.frame_time_ms.map(|ms| (ms * 1e3).round() as i64),
+            image_times_us: tags.image_times_us(),
             last_image: image_of_file[1] <= 1 && shows_last_image(tags),
             completes: None,
         }

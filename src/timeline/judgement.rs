@@ -26,6 +26,8 @@ pub const NO_EXPOSURE: &str = "telemetry recorded no exposure";
 pub(super) enum Judgement {
     /// Of the exposure at this position. `teaches`: two kinds of evidence agree, so console and counter may be learnt from it.
     Of { shot: usize, how: BindingHow, evidence: Vec<String>, teaches: bool },
+    /// Of a file whose images are each of an exposure of its own, the first of the one at this position.
+    OfEach { first: usize, how: BindingHow, evidence: Vec<String> },
     /// Telemetry or other frames may decide within a second.
     Wait(String),
     /// No exposure, with what was found, and the frame that has the one that all names.

@@ -27,12 +27,14 @@ pub(super) struct Pending {
     pub binding: Binding,
     /// Images of the same run, itself not.
     pub images: Vec<u32>,
+    /// The exposures of the file's images, where each has its own.
+    pub apart: Vec<ExposureInterval>,
 }
 
 impl Pending {
     /// Its exposures are still to be met.
     pub fn new(evidence: FrameEvidence, binding: Binding) -> Self {
-        Self { evidence, prompt: None, running: None, binding, images: Vec::new() }
+        Self { evidence, prompt: None, running: None, binding, images: Vec::new(), apart: Vec::new() }
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
 use super::alignment::{Stamped, align};
+use super::apart::Images;
 use super::arrival::usual_us_of;
 use super::console::{ConsoleOffset, Pair};
 use super::evidence::{Binding, BindingHow, seconds};
@@ -236,7 +237,8 @@ impl Known {
             };
             let rival =
                 pending.prompt.iter().flatten().any(|other| timely(*other) && self.rival(&pending.evidence, member.shot, *other));
-            if rival || !free(member.shot) {
+            let is_of_one = self.images_of(&pending.evidence, member.shot, timeline) == Images::OfOne;
+            if rival || !free(member.shot) || !is_of_one {
                 continue;
             }
             let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));

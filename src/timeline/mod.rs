@@ -5,6 +5,7 @@
 
 mod agreement;
 mod alignment;
+mod apart;
 mod arrival;
 mod binder;
 mod clock;
@@ -21,6 +22,7 @@ mod learning;
 mod orderly;
 mod rate;
 mod segments;
+mod sequence;
 mod series;
 mod shots;
 mod stamped;

@@ -44,7 +44,7 @@ use super::registrar::start_registrar;
 use super::scribe::Scribe;
 use super::sources::{Frames, frame_source};
 use super::stop::Stop;
-use super::tracks::Tracks;
+use super::tracks::{News, Tracks};
 use super::whereabouts::Whereabouts;
 use super::workshop::Workshop;
 use crate::gpu::DeviceChoice;
@@ -308,11 +308,18 @@ impl Session {
                 let world_from_lps = self.engine.world_from_lps();
                 self.broadcast.sample(host_us, &sample, world_from_lps);
                 self.onlooker.sample(&self.log, host_us, &sample, world_from_lps);
-                if let Some(words) = self.tracks.sample(host_us, &sample) {
-                    // One status must not hide another; what bits without a meaning say is counted together.
-                    let kind = if words.contains("status bit") { "device status" } else { words.as_str() };
-                    self.reporter.warn(kind, &words);
-                    self.log.event(Level::Warning, host_us, &words);
+                match self.tracks.sample(host_us, &sample) {
+                    Some(News::Told(words)) => {
+                        // One status must not hide another; what bits without a meaning say is counted together.
+                        let kind = if words.contains("status bit") { "device status" } else { words.as_str() };
+                        self.reporter.warn(kind, &words);
+                        self.log.event(Level::Warning, host_us, &words);
+                    }
+                    Some(News::Lost(words)) => {
+                        self.reporter.warn(&words, &words);
+                        self.log.lose_for_good(words);
+                    }
+                    None => {}
                 }
             }
             Output::Fault { device, host_us, detail } => {

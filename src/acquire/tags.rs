@@ -250,11 +250,22 @@ impl FrameTags {
             Some(_) => return None,
             None => {}
         }
-        let is_panel = matches!(self.detector_type.as_deref(), Some("DIRECT" | "SCINTILLATOR" | "STORAGE"))
-            || self.field_of_view_shape.as_deref() == Some("RECTANGLE")
-            || self.field_of_view_mm.is_some_and(|[across, down]| across != down);
-        let size_mm = self.intensifier_mm.filter(|size_mm| !is_panel && *size_mm <= LARGEST_INTENSIFIER_MM)?;
+        let size_mm = self.intensifier_mm.filter(|_| !self.names_flat_panel())?;
         Some(format!("intensifier size (0018,1162) is {size_mm} mm"))
+    }
+
+    /// Whether an attribute says that a flat panel, and no image intensifier, took the picture.
+    #[must_use]
+    pub fn names_flat_panel(&self) -> bool {
+        match self.receptor.as_deref() {
+            Some(receptor) => receptor != "IMG_INTENSIFIER",
+            None => {
+                matches!(self.detector_type.as_deref(), Some("DIRECT" | "SCINTILLATOR" | "STORAGE"))
+                    || self.field_of_view_shape.as_deref() == Some("RECTANGLE")
+                    || self.field_of_view_mm.is_some_and(|[across, down]| across != down)
+                    || self.intensifier_mm.is_some_and(|size_mm| !(size_mm <= LARGEST_INTENSIFIER_MM))
+            }
+        }
     }
 
     /// When the frame was acquired by the console's clock, microseconds since the Unix epoch; `None` unless the file gives date, time and
@@ -313,6 +324,7 @@ mod tests {
         assert!(round.names_intensifier().is_some());
         let typed = FrameTags { receptor: text("IMG_INTENSIFIER"), ..FrameTags::default() };
         assert!(typed.names_intensifier().is_some_and(|words| words.contains("(0018,9420)")));
+        assert!(![&sized, &round, &typed].iter().any(|tags| tags.names_flat_panel()));
         for panel in [
             FrameTags::default(),
             FrameTags { intensifier_mm: Some(480.0), ..FrameTags::default() },
@@ -322,6 +334,7 @@ mod tests {
             FrameTags { field_of_view_shape: text("RECTANGLE"), ..sized.clone() },
         ] {
             assert_eq!(panel.names_intensifier(), None, "{panel:?}");
+            assert_eq!(panel.names_flat_panel(), panel != FrameTags::default(), "{panel:?}");
         }
     }
 

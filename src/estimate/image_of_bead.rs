@@ -104,11 +104,15 @@ fn bend(p: DVec2, lens: Option<&[f64]>) -> Bent {
         [radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x - 2.0 * s * x * y, mixed - s * (r2 + 2.0 * y * y)],
         [mixed + s * (r2 + 2.0 * x * x), radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * s * x * y],
     ];
-    let by_lens = [
-        [x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x, -y * r2],
-        [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y, x * r2],
-    ];
-    Bent { at, by_point, by_lens }
+    Bent { at, by_point, by_lens: plane_by_lens(p) }
+}
+
+/// Rows of ∂/∂(k1, k2, p1, p2, s) of where the lens of [`BeadImage::through`] takes a place of the plane z = 1.
+#[must_use]
+pub fn plane_by_lens(p: DVec2) -> [[f64; 5]; 2] {
+    let DVec2 { x, y } = p;
+    let r2 = x * x + y * y;
+    [[x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x, -y * r2], [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y, x * r2]]
 }
 
 impl Residual for BeadImage {

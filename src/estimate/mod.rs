@@ -34,7 +34,7 @@ mod median;
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};
 pub use error::{Direction, EstimateError};
-pub use image_of_bead::{BeadImage, Place};
+pub use image_of_bead::{BeadImage, Place, plane_by_lens};
 pub use left_out::LeftOut;
 pub use levenberg::{Settings, Stop};
 pub use loss::Loss;

@@ -30,6 +30,7 @@ pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     masks.add(Cause::NotMeasured, pixels.map(|v| !v.is_finite()));
     if let Some(field) = find_told_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray(), &told) {
         masks.field = Some(field.description);
+        masks.disc = field.shape.disc;
         masks.add(Cause::Collimation, field.outside);
     }
     // Writing is found first: its strokes lie at the ends of the scale as well, but are no clipping.

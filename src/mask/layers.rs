@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 
+use super::shape::Disc;
 use crate::image::Image;
 
 /// Why a pixel means nothing, or is left out of the scores.
@@ -78,6 +79,8 @@ pub struct Masks {
     layers: Vec<(Cause, Image<bool>)>,
     /// What the open field was taken for; `None` where the frame shows no edge of one.
     pub field: Option<String>,
+    /// Its round edge, if it has one: an iris's, or that of an image intensifier's input.
+    pub disc: Option<Disc>,
 }
 
 impl Masks {

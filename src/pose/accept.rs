@@ -10,12 +10,20 @@ use super::settle::Settled;
 use super::shadow::{Shadow, square};
 use super::solve::{Free, Solution, about, left_out};
 use super::unseen::Unseen;
+use super::unstated_lens::UnstatedLens;
 use crate::beads::{Bead, Detection, Landmark};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
 
 impl Case<'_> {
-    pub fn accept(&self, last: &Settled, covariance: &DMatrix<f64>, accident: f64, mut notes: Vec<String>) -> Pose {
+    pub fn accept(
+        &self,
+        last: &Settled,
+        covariance: &DMatrix<f64>,
+        lens: Option<&UnstatedLens>,
+        accident: f64,
+        mut notes: Vec<String>,
+    ) -> Pose {
         let rms_px = last.rms_px();
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
         let layout = self.request.layout;
@@ -62,7 +70,7 @@ impl Case<'_> {
             covariance: Some(rows_of(&about_origin)),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
-            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance),
+            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance, lens),
             beads,
             detections: self.detections.len(),
             shadows,
@@ -175,11 +183,17 @@ impl Case<'_> {
     }
 }
 
-/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps.
-pub(super) fn landmarks_of(landmarks: &[Landmark], solution: &Solution, covariance: &DMatrix<f64>) -> Vec<LandmarkUncertainty> {
+/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps, and `lens` what may have bent the picture besides.
+pub(super) fn landmarks_of(
+    landmarks: &[Landmark],
+    solution: &Solution,
+    covariance: &DMatrix<f64>,
+    lens: Option<&UnstatedLens>,
+) -> Vec<LandmarkUncertainty> {
     let of = |landmark: &Landmark| {
         let p = solution.camera_from_lps.transform_point(landmark.lps_mm);
-        let sharpness = solution.sharpness(landmark.lps_mm, covariance);
+        let straight = solution.sharpness(landmark.lps_mm, covariance);
+        let sharpness = lens.map_or(straight, |lens| lens.with(&straight, solution, landmark.lps_mm));
         LandmarkUncertainty {
             name: landmark.name.clone(),
             lps_mm: landmark.lps_mm,

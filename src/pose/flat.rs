@@ -1,7 +1,7 @@
 //! How badly a pose is known where no bead shows it: at landmarks, and off the plane of (nearly) flat beads. Residuals are small there too.
 
 use glam::{DVec2, DVec3};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Matrix2};
 
 use super::cautions::LOOSELY;
 use super::solve::Solution;
@@ -72,11 +72,15 @@ fn looseness((sigma_px, place): (f64, String)) -> Option<String> {
 
 /// Standard deviation of a place's projection along its worst direction, infinite where it is no number; `None` behind the source.
 fn worst_direction_px(solution: &Solution, lps_mm: DVec3, covariance: &DMatrix<f64>) -> Option<f64> {
-    let image = solution.sharpness(lps_mm, covariance).image_px2?;
+    Some(along_worst_px(&solution.sharpness(lps_mm, covariance).image_px2?))
+}
+
+/// Standard deviation along the worst direction, infinite where it is no number.
+pub(super) fn along_worst_px(image: &Matrix2<f64>) -> f64 {
     // The larger eigenvalue of a 2×2.
     let (mean, half) = (0.5 * (image[(0, 0)] + image[(1, 1)]), DVec2::new(0.5 * (image[(0, 0)] - image[(1, 1)]), image[(0, 1)]));
     let sigma_px = (mean + half.length()).sqrt();
-    Some(if sigma_px.is_nan() { f64::INFINITY } else { sigma_px })
+    if sigma_px.is_nan() { f64::INFINITY } else { sigma_px }
 }
 
 /// 2 px is too much; σ itself, taken at the estimated pose, is uncertain by a fifth or so.

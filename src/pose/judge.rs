@@ -14,6 +14,7 @@ use super::refusal::{Points, Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Free, Options, solve};
+use super::unstated_lens::{Bends, UnstatedLens};
 use super::verdict::{MOST_CHANCE, check_geometry, extents_mm, is_plate, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
 
@@ -39,10 +40,10 @@ impl Case<'_> {
             notes.push(format!("bead positions without sigma_mm are taken to be good to {DEFAULT_SIGMA_MM} mm per axis"));
         }
         match self.verdict(candidate, &mut notes) {
-            Ok(Believed { settled, covariance, chance, cautions }) => {
+            Ok(Believed { settled, covariance, lens, chance, cautions }) => {
                 let Cautions { words, doubt, .. } = cautions;
                 let explained = Some(self.explained(Some((&settled, &covariance))));
-                Pose { cautions: words, doubt, explained, ..self.accept(&settled, &covariance, chance, notes) }
+                Pose { cautions: words, doubt, explained, ..self.accept(&settled, &covariance, lens.as_ref(), chance, notes) }
             }
             Err(refusal) => self.refuse(&refusal, notes),
         }
@@ -114,6 +115,12 @@ impl Case<'_> {
             Some(Loose::NearlyFlat(words)) => notes.push(words),
             None => {}
         }
+        let lens = UnstatedLens::of(self.request, &settled);
+        match lens.as_ref().and_then(|lens| lens.bends(self.request, &settled.solution)) {
+            Some(Bends::AtPlace(words)) => cautions.doubt(words),
+            Some(Bends::AtEdge(words)) => notes.push(words),
+            None => {}
+        }
         if matched < candidate.hypothesis.in_view {
             notes.push(format!("{matched} of {} beads that should be in view are matched", candidate.hypothesis.in_view));
         }
@@ -122,7 +129,7 @@ impl Case<'_> {
                 notes.extend(cautions.words);
                 Err(refusal)
             }
-            None => Ok(Believed { settled, covariance, chance, cautions }),
+            None => Ok(Believed { settled, covariance, lens, chance, cautions }),
         }
     }
 
@@ -257,6 +264,7 @@ impl Case<'_> {
 struct Believed {
     settled: Settled,
     covariance: DMatrix<f64>,
+    lens: Option<UnstatedLens>,
     chance: f64,
     cautions: Cautions,
 }

@@ -57,6 +57,7 @@ mod transform;
 mod triangle;
 mod twin;
 mod unseen;
+mod unstated_lens;
 mod verdict;
 mod why_refused;
 mod with_tags;

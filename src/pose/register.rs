@@ -18,7 +18,7 @@ use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Detections, Polarity, Probe, Signal, detect, detect_image};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::image::Image;
-use crate::mask::{self, Cause, Masks};
+use crate::mask::{self, Cause, Disc, Masks};
 
 /// Shadows used in the search: the best.
 const MOST_DETECTIONS: usize = 40;
@@ -48,6 +48,8 @@ pub struct Looked {
     /// In the undistorted picture.
     detections: Detections,
     usable: Image<bool>,
+    /// Of a frame that an image intensifier may have taken.
+    round_field: Option<Disc>,
     /// What looks like beads where metal is not what the frame's domain says; sought once, where nothing else matches.
     otherwise: Arc<OnceLock<Vec<Detection>>>,
 }
@@ -60,7 +62,7 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
         let (found, opposite, evidence) = (Vec::new(), Vec::new(), String::new());
         let detections = Detections { found, polarity: Polarity::Dark, opposite, evidence };
         let usable = Image { width: 0, height: 0, pixels: Vec::new() };
-        return Looked { detections, usable, otherwise: Arc::default() };
+        return Looked { detections, usable, round_field: None, otherwise: Arc::default() };
     }
     // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
     // What is behind the shutters or dead is none.
@@ -69,12 +71,14 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
     let found = detect(frame, Some(&usable), &request.expectation());
     let straight = |shadows| request.straight_shadows(shadows);
     let detections = Detections { found: straight(found.found), opposite: straight(found.opposite), ..found };
-    Looked { detections, usable, otherwise: Arc::default() }
+    let round_field = request.in_field(frame, masks).round_field;
+    Looked { detections, usable, round_field, otherwise: Arc::default() }
 }
 
 /// [`register_masked`] where it is known what the frame shows.
 #[must_use]
 pub fn register_looked(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
+    let request = &Registration { round_field: looked.round_field, ..*request };
     let pose = match request.fault() {
         Some(fault) => request.refuse(&fault),
         None => {

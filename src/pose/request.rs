@@ -9,8 +9,10 @@ use super::refusal::{Points, Refusal};
 use super::residual::BeadResidual;
 use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;
+use crate::acquire::Frame;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
 use crate::geometry::{Distortion, Intrinsics};
+use crate::mask::{Disc, Masks};
 
 /// Everything that is known besides the picture.
 #[derive(Clone, Copy, Debug)]
@@ -30,6 +32,10 @@ pub struct Registration<'a> {
     /// What an image intensifier did to the frame. Places found in it, or marked by a person, are undistorted before anything is solved:
     /// K, P and all places of the pose are those of the undistorted picture.
     pub distortion: Option<&'a Distortion>,
+    /// Whether the detector is known to be flat: no intensifier has bent the frame.
+    pub is_flat: bool,
+    /// The round field of a frame that an image intensifier may have taken, px: nobody says what it did, nor that there is none.
+    pub round_field: Option<Disc>,
     /// Where the pose is expected.
     pub prior: Option<&'a Prior>,
     /// Whether the prior is also a measurement.
@@ -60,6 +66,8 @@ impl<'a> Registration<'a> {
             pitch_mm: None,
             source_to_isocentre_mm: None,
             distortion: None,
+            is_flat: false,
+            round_field: None,
             prior: None,
             fuse: false,
             ignore_prior: false,
@@ -69,6 +77,14 @@ impl<'a> Registration<'a> {
             landmarks: &[],
             bead_radius_mm: None,
         }
+    }
+
+    /// The same with the round field of `frame`, unless somebody says what took it. A round collimator before a flat panel looks like an
+    /// intensifier's.
+    pub(super) fn in_field(&self, frame: &Frame, masks: &Masks) -> Self {
+        let is_told = self.is_flat || self.distortion.is_some() || frame.tags.names_flat_panel();
+        let round_field = if is_told { None } else { self.round_field.or(masks.disc) };
+        Self { round_field, ..*self }
     }
 
     /// Fewest beads that give a pose.

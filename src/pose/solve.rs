@@ -247,16 +247,23 @@ impl Solution {
         let by_pose = point_by_pose(p, self.centroid_mm);
         let camera_mm2 = by_pose * covariance.fixed_view::<6, 6>(0, 0) * by_pose.transpose();
         let image_px2 = (p.z > 1.0).then(|| {
-            let mut rows = DMatrix::zeros(2, covariance.ncols());
-            rows.view_mut((0, 0), (2, 6)).copy_from(&(image_by_point(&self.intrinsics, p) * by_pose));
-            if covariance.ncols() > 6 {
-                let ratio = self.intrinsics.fy / self.intrinsics.fx;
-                rows.view_mut((0, 6), (2, 3)).copy_from(&Matrix2x3::new(p.x / p.z, 1.0, 0.0, ratio * p.y / p.z, 0.0, 1.0));
-            }
+            let rows = self.image_by_solved(p, covariance.ncols());
             let image = &rows * covariance * rows.transpose();
             Matrix2::from_fn(|i, j| image[(i, j)])
         });
         Sharpness { image_px2, camera_mm2 }
+    }
+
+    /// Rows of ∂(u, v)/∂ what is solved, 2 × `columns`, for a point in `camera`: six of the pose, and of K's free numbers what is left.
+    pub(super) fn image_by_solved(&self, p: DVec3, columns: usize) -> DMatrix<f64> {
+        let mut rows = DMatrix::zeros(2, columns);
+        let by_pose = image_by_point(&self.intrinsics, p) * point_by_pose(p, self.centroid_mm);
+        rows.view_mut((0, 0), (2, 6)).copy_from(&by_pose);
+        if columns > 6 {
+            let ratio = self.intrinsics.fy / self.intrinsics.fx;
+            rows.view_mut((0, 6), (2, 3)).copy_from(&Matrix2x3::new(p.x / p.z, 1.0, 0.0, ratio * p.y / p.z, 0.0, 1.0));
+        }
+        rows
     }
 }
 
@@ -288,8 +295,23 @@ pub(super) fn image_of(m: &Match, camera: PoseBlock, intrinsics: VectorBlock, sh
     BeadImage::new(camera, intrinsics, place, m.image_px, m.noise_px2)
 }
 
-/// The problem, with bead n as residual n and the priors behind them.
-fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Options) -> (Problem<'a>, PoseBlock, VectorBlock) {
+/// A problem and what is solved in it.
+pub(super) struct Stated<'a> {
+    pub problem: Problem<'a>,
+    pub camera: PoseBlock,
+    pub intrinsics: VectorBlock,
+    /// Where there is a lens.
+    pub lens: Option<VectorBlock>,
+}
+
+/// The problem, with bead n as residual n and the priors behind them, seen through a lens of which the numbers `lens` are free.
+pub(super) fn problem<'a>(
+    matches: &[Match],
+    start: &Rigid,
+    k: &Intrinsics,
+    options: &Options,
+    lens: Option<&[usize]>,
+) -> Stated<'a> {
     let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len().max(1) as f64;
     let mut problem = Problem::new();
     let camera = problem.pose("camera_from_lps", *start, mean_lps, true);
@@ -299,8 +321,14 @@ fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Optio
     };
     let intrinsics = problem.vector("intrinsics", &[k.fx, k.fy, k.skew, k.cx, k.cy], freedom);
     let loss = if options.loss.is_finite() { Loss::Cauchy(options.loss) } else { Loss::None };
+    let lens = lens.map(|chosen| problem.vector("lens", &[0.0; 5], Freedom::Only(chosen.to_vec())));
     for m in matches {
-        problem.add(image_of(m, camera, intrinsics, options.sigma_mm_share), loss);
+        let image = image_of(m, camera, intrinsics, options.sigma_mm_share);
+        let seen = match lens {
+            Some(lens) => image.through(lens),
+            None => image,
+        };
+        problem.add(seen, loss);
     }
     if let Some(measured) = &options.measured {
         problem.add(PosePrior::new(camera, measured.camera_from_lps, measured.information), Loss::None);
@@ -308,12 +336,12 @@ fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Optio
     if let Free::Known(prior) = options.free {
         problem.add(prior.reading(intrinsics), Loss::None);
     }
-    (problem, camera, intrinsics)
+    Stated { problem, camera, intrinsics, lens }
 }
 
 /// Solves from a start; `None` when the equations are singular or a number ceases to be finite.
 pub fn solve(matches: &[Match], start: &Rigid, intrinsics: &Intrinsics, options: &Options) -> Option<Solution> {
-    let (problem, camera, k) = problem(matches, start, intrinsics, options);
+    let Stated { problem, camera, intrinsics: k, .. } = problem(matches, start, intrinsics, options, None);
     let estimate = problem.solve(&Settings { iterations: options.iterations, ..Settings::default() }).ok()?;
     let covariance = estimate.covariance().ok()?.of(&[camera.into(), k.into()]);
     let state = estimate.state();
@@ -346,7 +374,7 @@ pub fn solve(matches: &[Match], start: &Rigid, intrinsics: &Intrinsics, options:
 /// What each match's residual (px) would be under the pose of all others, and how surprising that is; solved by `options`, whose priors
 /// count. `None` for a match without which nothing is determined.
 pub fn left_out(matches: &[Match], solution: &Solution, options: &Options) -> Vec<Option<LeftOut>> {
-    let (problem, ..) = problem(matches, &solution.camera_from_lps, &solution.intrinsics, options);
+    let Stated { problem, .. } = problem(matches, &solution.camera_from_lps, &solution.intrinsics, options, None);
     let settings = Settings { iterations: options.iterations, ..Settings::default() };
     let Ok(estimate) = problem.solve(&settings) else { return vec![None; matches.len()] };
     (0..matches.len()).map(|n| estimate.left_out(n).ok()).collect()

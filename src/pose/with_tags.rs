@@ -11,6 +11,7 @@ use super::residual::TagResidual;
 use super::settle::Settled;
 use super::solve::{Free, Options, Solution, about, deviation};
 use super::tagged::{CORNER_SIGMA_PX, TOLD_APART, TagPose, View, corners, estimate, off_by, views};
+use super::unstated_lens::{Bends, UnstatedLens};
 use crate::acquire::Frame;
 use crate::beads::tags::{SeenTag, TagLayout};
 use crate::geometry::{Intrinsics, Rigid};
@@ -28,7 +29,7 @@ const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// is stated: of a tag's corners nobody knows how they share K's uncertainty with the beads.
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
-    let request = &Registration { intrinsics_prior: None, ..*request };
+    let request = &Registration { intrinsics_prior: None, ..request.in_field(frame, masks) };
 
     let seen = &request.straight_tags(seen);
 
@@ -263,8 +264,15 @@ impl Tags<'_> {
         notes.push(format!(
             "the pose is that of tags alone; their corners are taken to be good to {CORNER_SIGMA_PX} px, which beads would check"
         ));
-        let mut pose = self.case().accept(&settled, &found.covariance(), 0.0, notes);
+        let lens = UnstatedLens::of(self.request, &settled);
+        let bends = lens.as_ref().and_then(|lens| lens.bends(self.request, &settled.solution));
+        let mut pose = self.case().accept(&settled, &found.covariance(), lens.as_ref(), 0.0, notes);
         (pose.chance, pose.fused) = (None, false);
+        match bends {
+            Some(Bends::AtPlace(words)) => pose.doubt(words),
+            Some(Bends::AtEdge(words)) => pose.notes.push(words),
+            None => {}
+        }
         for view in self.views {
             if pose.bodies.iter().all(|body| body.name != view.tag.body) {
                 let (name, lps_from_body) = (view.tag.body.clone(), Rigid::IDENTITY);

@@ -91,7 +91,7 @@ impl Common<'_> {
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(motion.pivot_mm),
-            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance),
+            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance, None),
             beads,
             shadows,
             doubt: alone.doubt.clone().filter(|words| stands(words)),

@@ -22,6 +22,7 @@ mod innovation;
 mod intrinsics_file;
 mod isocentre;
 mod judge;
+mod lag;
 mod lens;
 mod moved;
 mod occupancy;

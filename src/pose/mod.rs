@@ -5,6 +5,7 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod accept;
+mod artefact;
 mod besides;
 mod bodies;
 mod by_header;

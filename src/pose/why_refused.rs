@@ -1,7 +1,9 @@
-//! What else speaks for the cause of a refusal: beads in another unit, K against the frame's own header, a picture that is saturated.
+//! What else speaks for the cause of a refusal: beads in another unit, K against the frame's own header, a picture that is saturated, in blocks
+//! or lined.
 
 use glam::DVec3;
 
+use super::artefact::Artefact;
 use super::record::Pose;
 use super::refusal::{MORE_SHADOWS, Refusal};
 use super::register::intrinsics_of;
@@ -24,9 +26,13 @@ impl Pose {
         let is_explained = matches!(self.refusal, None | Some(Refusal::Layout { .. } | Refusal::Fault { .. }));
         let Some(mut reason) = self.reason.take_if(|_| !is_explained) else { return };
         let share = frame.clipping.saturated_share;
-        if share > SATURATED {
-            let words =
-                format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share);
+        let saturated = (share > SATURATED).then(|| {
+            format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share)
+        });
+        let looks = self.refusal.as_ref().is_some_and(rests_on_looks);
+        let artefacts = if looks { Artefact::of(&frame.pixels) } else { Vec::new() };
+        for words in saturated.into_iter().chain(artefacts.iter().map(ToString::to_string)) {
+            // More of the same picture would show no more.
             reason = match reason.contains(MORE_SHADOWS) {
                 true => reason.replace(MORE_SHADOWS, &words),
                 false => format!("{reason}; {words}"),
@@ -66,6 +72,12 @@ impl Pose {
     }
 }
 
+/// Whether shadows that are not found, or that are none, may be the cause.
+fn rests_on_looks(refusal: &Refusal) -> bool {
+    use Refusal::{Chance, Missing, NoMatch, TooFewShadows};
+    matches!(refusal, TooFewShadows { .. } | NoMatch { .. } | Chance { .. } | Missing { .. })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,6 +86,7 @@ mod tests {
     use crate::geometry::Intrinsics;
     use crate::image::Image;
     use crate::pose::Registration;
+    use crate::random::{Purpose, Stream};
 
     /// Why it is refused in a frame that says 5000 px and is saturated to this share.
     fn heard(mut pose: Pose, saturated_share: f64) -> String {
@@ -116,5 +129,26 @@ mod tests {
         assert_eq!(heard(solved, 0.1), none.to_string());
         let told = Refusal::Layout { detail: "told".to_owned() };
         assert_eq!(reason(0.16, 2500.0, 0.99, &told), "told");
+    }
+
+    /// A moiré hid all beads, and the advice was to open the collimator.
+    #[test]
+    fn a_refusal_for_want_of_shadows_names_the_lines_that_hide_them_and_no_other_refusal_does() {
+        let lined = |refusal: &Refusal| {
+            let mut random = Stream::new(3, 0, 0, Purpose::Evaluation);
+            let mut pixels = Image::filled(300, 280, 0.0f32);
+            for (n, pixel) in pixels.pixels.iter_mut().enumerate() {
+                let wave = (std::f64::consts::TAU * (n % 300) as f64 / 5.0).sin();
+                *pixel = (1000.0 + 30.0 * random.normal() + 80.0 * wave) as f32;
+            }
+            let mut pose = refused(160.0, 5000.0, refusal);
+            pose.hear_refused(&Frame::from_pixels("f", pixels, Domain::Linear).expect("a frame"));
+            pose.reason.expect("a reason")
+        };
+        let few = lined(&Refusal::TooFewShadows { found: 0, required: 4, prior_puts_into_frame: None });
+        assert!(few.contains("lines every 5.0 pixels") && !few.contains("open the collimator"), "{few}");
+        let none = lined(&Refusal::NoMatch { shadows: 9, beads: 9 });
+        assert!(none.starts_with("no_match") && none.contains("lines every 5.0 pixels"), "{none}");
+        assert!(!lined(&Refusal::Unsolved).contains("lines every"), "the control");
     }
 }

@@ -54,8 +54,12 @@ impl Artefact {
         let blocks = blocked(h, w, across).zip(blocked(w, h, down)).map(|(across, down)| across.min(down));
         let lines = [waves(h, w, across), waves(w, h, down)].into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0));
         let blocks = blocks.filter(|times| *times >= BLOCKED).map(|times| Self::Blocks { times });
-        // Blocks are waves as well.
-        let is_of_blocks = |period_px: f64| (1..BLOCK_PX).any(|n| (period_px * n as f64 / BLOCK_PX as f64 - 1.0).abs() < 0.03);
+        // Blocks are waves as well, whole fractions of their side long; the window spreads a wave over its neighbours.
+        let of_blocks = (SPAN / BLOCK_PX) as f64;
+        let is_of_blocks = |period_px: f64| {
+            let times = SPAN as f64 / period_px / of_blocks;
+            (times - times.round()).abs() * of_blocks <= 2.0
+        };
         let lines = lines
             .filter(|(times, period_px)| *times >= LINED && !(blocks.is_some() && is_of_blocks(*period_px)))
             .map(|(_, period_px)| Self::Lines { period_px });

@@ -50,6 +50,57 @@ fn a_copy_of_the_layout_makes_a_frame_ambiguous() {
     assert_eq!(cases, 8);
 }
 
+/// A former frame's ghost: the same beads a little beside, `times` times fainter, each by a little more or less.
+fn ghost(view: &View, layout: &BeadLayout, times: f64, seed: u64) -> Vec<Detection> {
+    let mut found = shadows(&beside(view, layout, 1.5, 4.0), layout, 0.1, 0.02, seed + 50);
+    for (n, shadow) in found.iter_mut().enumerate() {
+        shadow.contrast *= (0.15 * (1.7 * n as f64).sin()).exp() / times;
+        shadow.snr = (shadow.snr / times).max(7.0);
+    }
+    found
+}
+
+/// Frames of a detector that lags were refused as ambiguous, and lag was never named: a second specimen is as deep as the first one, a ghost is
+/// fainter throughout.
+#[test]
+fn a_ghost_that_is_far_fainter_throughout_is_set_aside_with_a_doubt_and_a_copy_is_not() {
+    const WORDS: &str = "times fainter";
+    let (mut set_aside, mut named, mut cases) = (0, 0, 0);
+    for seed in 0..3 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
+        let own = shadows(&view, &layout, 0.05, 0.02, seed);
+        let with = |others: Vec<Detection>| {
+            let all: Vec<Detection> = others.into_iter().chain(own.iter().copied()).collect();
+            register_shadows(&matching(&view, &layout), &all)
+        };
+        // As deep, whatever comes first: a second specimen.
+        let told = with(ghost(&view, &layout, 1.0, seed));
+        assert!(reason(&told).starts_with("ambiguous") && !reason(&told).contains(WORDS), "seed {seed}: {}", reason(&told));
+        for times in [4.0, 6.0, 8.0] {
+            let pose = with(ghost(&view, &layout, times, seed));
+            assert!(pose.is_accepted(), "seed {seed}, {times} times: {:?}", pose.reason);
+            assert!(pose.doubt.as_deref().is_some_and(|doubt| doubt.contains(WORDS)), "never green: {:?}", pose.cautions);
+            assert!(landmark_error_px(&pose, &view) < 1.0, "the stronger one: {} px", landmark_error_px(&pose, &view));
+            assert_eq!(pose.shadows.len(), pose.detections, "those of the ghost stay in the file");
+            set_aside += 1;
+        }
+        // Not far enough fainter to be set aside: named all the same.
+        let half = with(ghost(&view, &layout, 2.0, seed));
+        assert!(reason(&half).starts_with("ambiguous"), "{}", reason(&half));
+        named += usize::from(reason(&half).contains(WORDS));
+        // A second specimen behind bone here and air there is fainter as well, but not throughout.
+        let mut uneven = ghost(&view, &layout, 1.0, seed);
+        for (n, shadow) in uneven.iter_mut().enumerate() {
+            shadow.contrast /= [3.0, 5.0, 8.0, 13.0][n % 4];
+            shadow.snr = 10.0;
+        }
+        let pose = with(uneven);
+        assert!(!pose.is_accepted() || pose.doubt.is_some(), "seed {seed}: {:?}", pose.cautions);
+        cases += 1;
+    }
+    assert!(cases == 3 && set_aside == 9 && named >= 2, "{cases}, {set_aside}, {named}");
+}
+
 /// A pose fits any K or scale; a prior that states its covariance does not fit the depth that comes out.
 #[test]
 fn a_wrong_k_or_scale_contradicts_a_prior_with_covariance() {

@@ -103,7 +103,7 @@ pub fn amber(number: u32) -> PairView {
 /// Without a pose.
 pub fn refused(number: u32) -> PairView {
     let mut view = accepted(number);
-    let few = Refusal::TooFewShadows { found: 2, required: 4, prior_puts_into_frame: None, saturated_share: None };
+    let few = Refusal::TooFewShadows { found: 2, required: 4, prior_puts_into_frame: None, hidden_by: Vec::new() };
     let pair = Arc::make_mut(&mut view.pair);
     (pair.status, pair.pose_source, pair.reason) = (PairStatus::Refused, PoseSource::None, Some(few.to_string()));
     (pair.scores, pair.null, pair.rms_px, pair.rms_mm) = Default::default();

@@ -173,6 +173,9 @@ impl Masks {
             return self.clone();
         }
         let layers = self.layers.iter().map(|(cause, mask)| (*cause, any_in_block(mask, factor))).collect();
-        Self { layers, field: self.field.clone() }
+        // The centre of the first coarse pixel lies at (factor − 1)/2 fine pixels.
+        let side = factor as f64;
+        let coarse = |disc: Disc| Disc { centre: (disc.centre - 0.5 * (side - 1.0)) / side, radius_px: disc.radius_px / side };
+        Self { layers, field: self.field.clone(), disc: self.disc.map(coarse) }
     }
 }

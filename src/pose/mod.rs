@@ -5,6 +5,7 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod accept;
+mod artefact;
 mod besides;
 mod bodies;
 mod by_header;
@@ -23,6 +24,7 @@ mod innovation;
 mod intrinsics_file;
 mod isocentre;
 mod judge;
+mod lag;
 mod lens;
 mod moved;
 mod occupancy;

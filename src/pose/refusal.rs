@@ -128,7 +128,7 @@ pub enum Refusal {
     OtherSize { detail: String },
     /// Hardly anything in the frame.
     #[error(
-        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref(), *saturated_share)
+        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref(), hidden_by)
     )]
     TooFewShadows {
         found: usize,
@@ -136,9 +136,9 @@ pub enum Refusal {
         /// How many beads the prior puts into the frame, and how many there are; absent without a prior or K.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         prior_puts_into_frame: Option<[usize; 2]>,
-        /// Share of the frame that is saturated, where that may be why.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        saturated_share: Option<f64>,
+        /// What in the picture may hide them, and what to do about it, in words.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        hidden_by: Vec<String>,
     },
     /// Nothing matches.
     #[error("no_match: {shadows} bead-like shadows, but no pose puts four of the {beads} beads on them")]
@@ -306,23 +306,15 @@ fn against_others(off_px: Option<f64>) -> String {
     }
 }
 
-/// That so much of a frame shows no beads, because it is at the end of the scale.
-pub(super) fn saturated_words(share: f64) -> String {
-    format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share)
-}
-
 /// What may bring more shadows into the picture.
-fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>, saturated_share: Option<f64>) -> String {
+fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>, hidden_by: &[String]) -> String {
     let aim = prior_puts_into_frame.filter(|[inside, all]| inside * 2 < *all).map(|[inside, all]| {
         format!(
             "by the prior (or telemetry) only {inside} of the {all} beads lie in the frame: aim at the beads, or check where the prior, or world_from_lps, puts them"
         )
     });
-    match (aim, saturated_share.map(saturated_words)) {
-        (Some(aim), Some(saturated)) => format!("{aim}; {saturated}"),
-        (Some(words), None) | (None, Some(words)) => words,
-        (None, None) => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
-    }
+    let words: Vec<&str> = aim.iter().chain(hidden_by).map(String::as_str).collect();
+    if words.is_empty() { "open the collimator, raise the dose, or check --bead-radius".to_owned() } else { words.join("; ") }
 }
 
 /// What was probably stated where shadows are so many times as large as the radii give.

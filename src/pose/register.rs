@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::bodies;
 use super::case::Case;
 use super::explained::{Reading, Rejected};
+use super::lag::without_ghost;
 use super::prior::Prior;
 use super::radii::{RadiusRatio, SizedShadow};
 use super::record::Pose;
@@ -190,6 +191,7 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         },
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
+    let pose = without_ghost(request, pose, &detections, &one);
     let mut pose = match without_radii(request, &pose, &detections, &one) {
         Some((without, radii)) if radii.is_hidden() => told_without_radii(without, radii),
         // The other match is no match, and what was said of it means nothing. Of grey values too: no radii have led this one.
@@ -266,7 +268,7 @@ impl Case<'_> {
         let (found, required) = (self.detections.len(), self.request.fewest());
         if found < required {
             let prior_puts_into_frame = self.request.prior_puts_into_frame();
-            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame, saturated_share: None }, notes);
+            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame, hidden_by: Vec::new() }, notes);
         }
         let candidate = self.propose(self.request.prior);
         let near = candidate.as_ref().map(|candidate| self.judge(candidate, notes.clone()));

@@ -16,7 +16,6 @@ use super::request::Registration;
 use super::settle::Settled;
 use super::solve::{Match, Sharpness, Solution, Stated, point_by_pose, problem};
 use crate::estimate::{Loss, Reading, Settings, plane_by_lens};
-use crate::mask::Disc;
 
 /// k1, p1, p2 and s of the lens. About another centre than K's a pincushion has terms of p1 and p2.
 const TERMS: [usize; 4] = [0, 2, 3, 4];

@@ -1,10 +1,12 @@
-//! What else speaks for the cause of a refusal: beads in another unit, K against the frame's own header, a picture that is saturated.
+//! What else speaks for the cause of a refusal: beads in another unit, K against the frame's own header, a picture that is saturated, in blocks
+//! or lined.
 
 use glam::DVec3;
 
+use super::artefact::Artefact;
 use super::by_header::{Focal, OtherFocal};
 use super::record::Pose;
-use super::refusal::{Refusal, saturated_words};
+use super::refusal::Refusal;
 use super::span::span_mm;
 use crate::acquire::Frame;
 
@@ -18,18 +20,23 @@ const SATURATED: f64 = 0.5;
 impl Pose {
     /// Adds to the reason of a refusal what else is known that may be its cause; `focal_sigma_px`: with which K's focal length is stated.
     pub(super) fn hear_refused(&mut self, frame: &Frame, focal_sigma_px: f64) {
-        let mut saturated = Some(frame.clipping.saturated_share).filter(|share| *share > SATURATED);
         let besides = [self.other_unit(), self.other_focal(frame, focal_sigma_px)];
         let refusal = match &mut self.refusal {
             // What the session's own checks said, or a fault of this program, has its cause already.
             None | Some(Refusal::Layout { .. } | Refusal::Fault { .. }) => return,
             Some(refusal) => refusal,
         };
+        let share = frame.clipping.saturated_share;
+        let saturated = (share > SATURATED).then(|| {
+            format!("{:.0} % of the frame is saturated: lower the dose, or choose another window or export", 100.0 * share)
+        });
+        let artefacts = if rests_on_looks(refusal) { Artefact::of(&frame.pixels) } else { Vec::new() };
+        let mut hiding: Vec<String> = saturated.into_iter().chain(artefacts.iter().map(ToString::to_string)).collect();
         // It is what to do about too few shadows, in place of more dose.
-        if let Refusal::TooFewShadows { saturated_share, .. } = refusal {
-            *saturated_share = saturated.take();
+        if let Refusal::TooFewShadows { hidden_by, .. } = refusal {
+            *hidden_by = std::mem::take(&mut hiding);
         }
-        let besides = saturated.map(saturated_words).into_iter().chain(besides.into_iter().flatten());
+        let besides = hiding.into_iter().chain(besides.into_iter().flatten());
         self.reason = Some(std::iter::once(refusal.to_string()).chain(besides).collect::<Vec<_>>().join("; "));
     }
 
@@ -62,6 +69,12 @@ impl Pose {
     }
 }
 
+/// Whether shadows that are not found, or that are none, may be the cause.
+fn rests_on_looks(refusal: &Refusal) -> bool {
+    use Refusal::{Chance, Missing, NoMatch, TooFewShadows};
+    matches!(refusal, TooFewShadows { .. } | NoMatch { .. } | Chance { .. } | Missing { .. })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,12 +83,17 @@ mod tests {
     use crate::geometry::Intrinsics;
     use crate::image::Image;
     use crate::pose::Registration;
+    use crate::random::{Purpose, Stream};
 
     fn frame(pitch_mm: Option<f64>, saturated_share: f64) -> Frame {
         let mut frame = Frame::from_pixels("f", Image::filled(64, 48, 1.0f32), Domain::Linear).expect("a frame");
         (frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(1000.0), pitch_mm.map(|mm| [mm; 2]));
         frame.clipping.saturated_share = saturated_share;
         frame
+    }
+
+    fn few_shadows(prior_puts_into_frame: Option<[usize; 2]>) -> Refusal {
+        Refusal::TooFewShadows { found: 0, required: 4, prior_puts_into_frame, hidden_by: Vec::new() }
     }
 
     /// Why it is refused in a frame that says 5000 px and is saturated to this share.
@@ -108,12 +126,7 @@ mod tests {
         }
         let words = reason(160.0, 2500.0, 0.1, &none);
         assert!(words.ends_with("K says f 2500 px, the header's SID and pitch say 5000 px"), "{words}");
-        let few = |prior_puts_into_frame: Option<[usize; 2]>| Refusal::TooFewShadows {
-            found: 0,
-            required: 4,
-            prior_puts_into_frame,
-            saturated_share: None,
-        };
+        let few = few_shadows;
         let words = reason(160.0, 5000.0, 0.99, &few(None));
         assert!(words.contains("99 % of the frame is saturated") && !words.contains("raise the dose"), "{words}");
         assert!(reason(160.0, 5000.0, 0.1, &few(None)).contains("raise the dose"));
@@ -145,5 +158,26 @@ mod tests {
         assert_eq!(told(5200.0, None, Some(0.2), 0.0), "; K says f 5200 px, the header's SID and K's own pitch say 5000 px");
         let silent = [told(5100.0, Some(0.2), None, 0.0), told(5200.0, Some(0.2), None, 80.0), told(5200.0, None, None, 0.0)];
         assert_eq!(silent, [""; 3], "2 %; three of its standard deviations; nobody knows a pitch");
+    }
+
+    /// A moiré hid all beads, and the advice was to open the collimator.
+    #[test]
+    fn a_refusal_for_want_of_shadows_names_the_lines_that_hide_them_and_no_other_refusal_does() {
+        let lined = |refusal: &Refusal| {
+            let mut random = Stream::new(3, 0, 0, Purpose::Evaluation);
+            let mut pixels = Image::filled(300, 280, 0.0f32);
+            for (n, pixel) in pixels.pixels.iter_mut().enumerate() {
+                let wave = (std::f64::consts::TAU * (n % 300) as f64 / 5.0).sin();
+                *pixel = (1000.0 + 30.0 * random.normal() + 80.0 * wave) as f32;
+            }
+            let mut pose = refused(160.0, 5000.0, refusal);
+            pose.hear_refused(&Frame::from_pixels("f", pixels, Domain::Linear).expect("a frame"), 0.0);
+            pose.reason.expect("a reason")
+        };
+        let few = lined(&few_shadows(None));
+        assert!(few.contains("lines every 5.0 pixels") && !few.contains("open the collimator"), "{few}");
+        let none = lined(&Refusal::NoMatch { shadows: 9, beads: 9 });
+        assert!(none.starts_with("no_match") && none.contains("lines every 5.0 pixels"), "{none}");
+        assert!(!lined(&Refusal::Unsolved).contains("lines every"), "the control");
     }
 }

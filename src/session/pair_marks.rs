@@ -50,7 +50,7 @@ mod tests {
             ("behind", DVec3::new(0.0, 0.0, -700.0)),
         ];
         let layout = BeadLayout { beads: places.map(|(name, lps_mm)| Bead::new(name, lps_mm)).to_vec(), ..BeadLayout::none() };
-        let few = Refusal::TooFewShadows { found: 1, required: 4, prior_puts_into_frame: None, saturated_share: None };
+        let few = Refusal::TooFewShadows { found: 1, required: 4, prior_puts_into_frame: None, hidden_by: Vec::new() };
         let mut pose = Registration::new([100, 80], &layout).refuse(&few);
         // What registration tried before it gave up.
         (pose.beads[0].image_px, pose.beads[0].predicted_px) = (Some([12.0, 13.0]), Some([11.0, 11.0]));

@@ -189,6 +189,7 @@ mod tests {
     use super::*;
     use crate::beads::{BeadLayout, Landmark};
     use crate::geometry::{Intrinsics, Rigid};
+    use crate::mask::Disc;
     use crate::random::{Purpose, Stream};
 
     const K: Intrinsics = Intrinsics { fx: 3480.0, fy: 3480.0, skew: 0.0, cx: 511.5, cy: 511.5 };

@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3};
 
+use super::cautions::ROUND_FIELD;
 use super::flat::along_worst_px;
 use super::request::Registration;
 use super::settle::Settled;
@@ -159,7 +160,7 @@ impl UnstatedLens {
             && !(worst_px <= MOST_PX)
         {
             return Some(Bends::AtPlace(format!(
-                "the frame's field is round, as that of an image intensifier, and no distortion is stated: if one took it, {name} may be off by \
+                "{ROUND_FIELD}, as that of an image intensifier, and no distortion is stated: if one took it, {name} may be off by \
                  {worst_px:.1} px (1 σ), which beads elsewhere do not show; measure it with `sidecarm calibrate intensifier` and give its file \
                  (--distortion FILE with one frame, \"intensifier\" in a session), or \"none\" in its place where the detector is flat"
             )));
@@ -175,7 +176,7 @@ impl UnstatedLens {
         let edge_px = (0..8).filter_map(at_edge).fold(0.0, f64::max);
         (!(edge_px <= MOST_PX)).then(|| {
             Bends::AtEdge(format!(
-                "the frame's field is round, and no distortion is stated: if an image intensifier took it, places at its edge may be off by \
+                "{ROUND_FIELD}, and no distortion is stated: if an image intensifier took it, places at its edge may be off by \
                  {edge_px:.1} px (1 σ)"
             ))
         })

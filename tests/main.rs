@@ -75,6 +75,7 @@ mod pose_pictures_draw;
 mod pose_pictures_scenery;
 mod pose_request;
 mod pose_rivals;
+mod pose_round_field;
 mod pose_standing;
 mod pose_synthetic;
 mod pose_together;

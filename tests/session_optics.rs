@@ -68,10 +68,13 @@ fn frames_of_an_intensifier_are_undistorted_and_their_drrs_distorted() {
     for pair in &pairs {
         assert!(pair["scores"]["zncc"].as_f64().is_some_and(|zncc| zncc > 0.98), "{}", pair["scores"]["zncc"]);
     }
-    // The same frames without a word of it.
+    // The same frames, said to be those of a flat detector.
     put();
     std::fs::remove_dir_all(lab.kit.join("out")).expect("removed");
-    let (poses, pairs, _) = session(&lab, |session| session["domain"] = json!("linear"));
+    let (poses, pairs, _) = session(&lab, |session| {
+        session["domain"] = json!("linear");
+        session["intensifier"] = json!("none");
+    });
     let wrong = errors_px(&lab, &poses, |p| p);
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(pairs.iter().all(|pair| pair["reason"].to_string().contains("distorted: ")), "{pairs:#?}");

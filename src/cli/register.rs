@@ -45,7 +45,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let mut seen = Seen::of(args, path, &stored, given.file.as_ref(), declared.as_ref())?;
     notes.append(&mut seen.notes);
     let prior = given.priors.first().map(|prior| prior.turned(seen.turn_rad));
-    let intensifier = args.distortion.as_deref().map(|path| seen.intensifier(path, &args.carm_angles)).transpose()?;
+    let intensifier = args.distortion_file().map(|path| seen.intensifier(path, &args.carm_angles)).transpose()?;
     let request = Registration {
         distortion: intensifier.as_ref().map(|intensifier| &intensifier.distortion),
         fuse: args.fuse,

@@ -1,11 +1,12 @@
 //! What is typed after `sidecarm register`, and the files that it names besides the frames.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::named;
 use super::register_error::RegisterError;
+use super::session_ask::NONE;
 use super::shot_files::read_priors;
 use crate::acquire::Domain;
 use crate::beads::{BeadLayout, Landmark, read_landmarks, read_markups};
@@ -68,7 +69,8 @@ pub struct RegisterArgs {
     #[arg(long, value_name = "DETECTOR.json")]
     pub detector: Option<PathBuf>,
     /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
-    /// undistorted picture. Of a picture that the console cropped, binned, enlarged or turned, say with --console how
+    /// undistorted picture. Of a picture that the console cropped, binned, enlarged or turned, say with --console how. none: there is none, the
+    /// detector is flat
     #[arg(long, value_name = "FILE.json", conflicts_with = "together")]
     pub distortion: Option<PathBuf>,
     /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those
@@ -101,6 +103,18 @@ pub struct RegisterArgs {
     /// Where the pose is written, accepted or refused; with --together POSES.json, or a folder for it and every frame's own NN-NAME.json
     #[arg(long, value_name = "POSE.json")]
     pub out: PathBuf,
+}
+
+impl RegisterArgs {
+    /// The image intensifier's calibration.
+    pub(super) fn distortion_file(&self) -> Option<&Path> {
+        self.distortion.as_deref().filter(|path| *path != Path::new(NONE))
+    }
+
+    /// Whether the detector is said to be flat.
+    pub(super) fn is_flat(&self) -> bool {
+        self.distortion.is_some() && self.distortion_file().is_none()
+    }
 }
 
 /// What is read before any frame is.

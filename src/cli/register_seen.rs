@@ -76,7 +76,7 @@ impl Seen {
         file: Option<&IntrinsicsFile>,
         console: Option<&Console>,
     ) -> Result<Self, RegisterError> {
-        if args.distortion.is_some() && console.is_some_and(|console| console.solve_intrinsics) {
+        if args.distortion_file().is_some() && console.is_some_and(|console| console.solve_intrinsics) {
             return Err(RegisterError::DistortedAndSolved);
         }
         let found = stored.size_px.map(|n| n as u32);
@@ -158,6 +158,7 @@ impl Seen {
             ignore_prior: args.ignore_prior,
             one_body: args.one_body,
             landmarks: &given.landmarks,
+            is_flat: args.is_flat(),
             bead_radius_mm: args.bead_radius,
             ..Registration::new(self.frame.size_px.map(|n| n as u32), &given.layout)
         }

@@ -118,8 +118,9 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
             prior: Some(&prior),
             fuse: false,
             ignore_prior: false,
-            // They are places of the reference body.
+            // They are places of the reference body, and so is what the field may say of them.
             landmarks: &[],
+            round_field: None,
             ..*request
         };
         let layout = layout_of(request.layout, name);

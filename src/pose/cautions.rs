@@ -9,6 +9,14 @@ pub(super) fn is_of_looseness(words: &str) -> bool {
     words.contains(LOOSELY)
 }
 
+/// What is said of a picture that an image intensifier may have bent.
+pub(super) const ROUND_FIELD: &str = "the frame's field is round";
+
+/// Whether a caution or a doubt is that one: with telemetry fused it is told anew.
+pub(super) fn is_of_round_field(words: &str) -> bool {
+    words.contains(ROUND_FIELD)
+}
+
 /// χ² per degree of freedom from which residuals are said to be larger than expected.
 const LARGER_CHI2_PER_DOF: f64 = 1.5;
 /// What is said of them, behind how many times.

@@ -129,6 +129,7 @@ pub struct SessionFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<PathBuf>,
     /// The image intensifier: a file of `calibrate intensifier`. K is that of the undistorted picture; DRRs are distorted as the frames are.
+    /// `none`: there is none, the detector is flat.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<PathBuf>,
     /// K, as `register --intrinsics` reads it, for frames of which no calibrated arm tells it.
@@ -140,6 +141,16 @@ pub struct SessionFile {
     /// OpenIGTLink, if others are to hear of poses and pictures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub igtl: Option<IgtlServer>,
+}
+
+/// What stands in place of an intensifier's file where the detector is flat.
+pub(super) const NO_INTENSIFIER: &str = "none";
+
+impl SessionFile {
+    /// Whether the session says that the detector is flat.
+    pub(super) fn is_flat(&self) -> bool {
+        self.intensifier.as_deref() == Some(Path::new(NO_INTENSIFIER))
+    }
 }
 
 /// A file that went into a session's scene, as its log knows it.
@@ -355,7 +366,8 @@ impl Setup {
             self.detector = Some(Box::new(DetectorCalibration::read(&found)?));
             session.detector = Some(found);
         }
-        if let Some(named) = &session.intensifier {
+        let is_flat = session.is_flat();
+        if let Some(named) = session.intensifier.as_ref().filter(|_| !is_flat) {
             let found = locate(path, "intensifier", named)?;
             let read = IntensifierCalibration::read(&found);
             let calibration = read.map_err(|error| place("intensifier", format!("{}: {error}", found.display())))?;

@@ -42,7 +42,7 @@ impl InputNames {
             (session.carm.as_ref().and_then(|line| line.adapter.as_ref()), "carm-lines"),
             (session.robot.as_ref().and_then(|line| line.adapter.as_ref()), "robot-lines"),
             (session.detector.as_ref(), "detector"),
-            (session.intensifier.as_ref(), "intensifier"),
+            (session.intensifier.as_ref().filter(|_| !session.is_flat()), "intensifier"),
             (session.intrinsics.as_ref(), "intrinsics"),
         ];
         let calibrations =
@@ -156,7 +156,9 @@ impl InputNames {
         session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));
-        session.intensifier = session.intensifier.as_deref().map(|path| told(path, "intensifier"));
+        if !session.is_flat() {
+            session.intensifier = session.intensifier.as_deref().map(|path| told(path, "intensifier"));
+        }
         session.intrinsics = session.intrinsics.as_deref().map(|path| told(path, "intrinsics"));
         session.tags = session.tags.as_deref().map(|path| told(path, "tags"));
         for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks"), (&mut kept.tags, "tags")] {

@@ -179,6 +179,7 @@ impl PoseJob {
             landmarks: &self.known.landmarks,
             bead_radius_mm: self.known.setup.session.bead_radius_mm,
             distortion: self.intensifier.iter().flatten().next().map(|intensifier| &intensifier.distortion),
+            is_flat: self.known.setup.session.is_flat(),
             ..Registration::new(size_px, layout)
         };
         ask(&registration)

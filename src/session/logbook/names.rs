@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::super::file::Setup;
+use super::super::file::{NO_INTENSIFIER, Setup};
 use crate::acquire::{hashed_input_label, input_label};
 use crate::beads::{Bead, BeadLayout, DEFAULT_BODY, parse_landmarks, parse_markups};
 use crate::telemetry::PortAddress;
@@ -106,11 +106,12 @@ impl Names {
         }
         session.frames.folder = "frames".into();
         (session.frames.dicom, session.frames.video, session.igtl, session.out) = (None, None, None, None);
+        let intensifier = if session.is_flat() { NO_INTENSIFIER } else { "intensifier.json" };
         let roles = [
             (&mut session.beads, "beads.mrk.json"),
             (&mut session.landmarks, "landmarks.mrk.json"),
             (&mut session.detector, "detector.json"),
-            (&mut session.intensifier, "intensifier.json"),
+            (&mut session.intensifier, intensifier),
             (&mut session.intrinsics, "intrinsics.json"),
             (&mut session.tags, "tags.json"),
         ];

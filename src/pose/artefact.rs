@@ -6,7 +6,7 @@ use crate::image::Image;
 /// Side of a JPEG's blocks.
 const BLOCK_PX: usize = 8;
 /// Mean jump between blocks over that within them from which on, along either axis, the blocks are said: noise alone has 1.00 ± 0.01; a
-/// pelvis has 1.0 to 1.5 at quality 90 with quantum noise of a few per cent, 1.7 to 4 at 60, and 3 to 25 below.
+/// pelvis has 1.0 to 2.3 at quality 90, the more the less noise there is, 1.7 to 4 at 60, and 3 to 25 below.
 const BLOCKED: f64 = 1.6;
 /// Pixels of the lines whose spectrum is taken, and lines of a picture that are looked at, at most.
 const SPAN: usize = 256;

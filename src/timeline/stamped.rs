@@ -1,5 +1,7 @@
 //! A frame whose stamp tells, once the console's offset is known: which exposures it fits, and whether it is to be believed.
 
+use std::collections::BTreeSet;
+
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
 use super::judgement::{Judgement, Weighed, none};
@@ -11,8 +13,10 @@ const AFTER_STAMP_US: i64 = 500_000;
 const ORDER_US: i64 = 20_000_000;
 /// Stamps after a frame whose counter contradicts its stamp that must fit on before the stamp is believed.
 const FITTING: usize = 3;
-/// Frames that confirm the console's clock from which on its stamp is believed against the counter, or where another exposure waits as well.
+/// Frames that confirm the console's clock from which on its stamp is believed where another exposure waits as well.
 const CONFIRMED: u32 = 5;
+/// The same where its counter contradicts the stamp.
+const CONFIRMED_TWICE: usize = 8;
 /// Frames with stamps right before and right after one, each, that show whether the counter began anew there.
 const WITNESSES: usize = 3;
 /// Stamps within this time of each other show whether the clock was set.
@@ -145,14 +149,28 @@ impl Weighed<'_> {
         })
     }
 
-    /// Why the stamp alone does not stand against what else there is: so few frames confirm the console's clock.
-    fn few_confirm(&self, at: usize) -> Option<String> {
+    /// Why the stamp alone does not stand against what else there is: fewer than `needed` frames confirm the console's clock, those that it gave
+    /// their exposures and those whose stamps fit one by it, or too many fit none.
+    fn few_confirm(&self, at: usize, needed: usize) -> Option<String> {
         let clock = self.known.clock().filter(|clock| clock.frames < CONFIRMED)?;
-        Some(format!(
-            "the console's stamp points to {}, but not all else does, and only {} frames confirm its clock: ambiguous",
-            self.label(at),
-            clock.frames
-        ))
+        let mut seen = BTreeSet::from([self.pending.evidence.console_us]);
+        let (mut confirming, mut lost) = (clock.frames as usize, 0);
+        for other in self.known.open.iter().filter_map(|frame| self.known.frames.get(frame)) {
+            // Frames of one series may have one stamp.
+            let Some(stamp) = self.fitting(&other.evidence).filter(|_| seen.insert(other.evidence.console_us)) else { continue };
+            let blind = || self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
+            if !stamp.fitting.is_empty() {
+                confirming += 1;
+            } else if !blind() {
+                lost += 1;
+            }
+        }
+        (confirming < needed || 4 * lost > confirming).then(|| {
+            format!(
+                "the console's stamp points to {}, but not all else does, and only {confirming} frames confirm its clock, {lost} contradict it: ambiguous",
+                self.label(at)
+            )
+        })
     }
 
     /// Whether the counter, which has never begun anew, contradicts that the frame is of the exposure at `at`, and no frame shortly before or
@@ -292,7 +310,7 @@ impl Weighed<'_> {
                     && !both.iter().any(|(both, _)| both == at)
                     && words.is_empty()
                 {
-                    if let Some(few) = self.few_confirm(*at) {
+                    if let Some(few) = self.few_confirm(*at, CONFIRMED_TWICE) {
                         words.push(few);
                         return none(words);
                     }
@@ -303,7 +321,7 @@ impl Weighed<'_> {
                 if self.usual_delay_us().is_none()
                     && prompt.contains(at)
                     && prompt.iter().any(waits)
-                    && let Some(few) = self.few_confirm(*at)
+                    && let Some(few) = self.few_confirm(*at, CONFIRMED as usize)
                 {
                     words.push(few);
                     return none(words);

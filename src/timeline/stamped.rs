@@ -291,10 +291,6 @@ impl Weighed<'_> {
                     words.push(set);
                     return none(words);
                 }
-                if let Some(sooner) = self.came_too_soon(*at) {
-                    words.push(sooner);
-                    return none(words);
-                }
                 let free = |at: usize| self.known.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
@@ -331,6 +327,10 @@ impl Weighed<'_> {
                         "the console's stamp fits {}, but its counter never began anew and is at another number: contradictory",
                         self.label(*at)
                     ));
+                    return none(words);
+                }
+                if let Some(sooner) = self.came_too_soon(*at) {
+                    words.push(sooner);
                     return none(words);
                 }
                 if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {

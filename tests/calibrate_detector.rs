@@ -243,6 +243,62 @@ fn without_darks_the_exposures_give_the_offset_or_it_is_refused() {
     single.refused(&["--bits", "14"], &["two usable frames"]);
 }
 
+/// Medians are no means: noise that grows with the signal took up to half a quantum from the offset, at a tenth of that for its sigma, and an
+/// electronic noise that quanta drown was stated as 0.
+#[test]
+fn without_darks_the_offset_is_as_sure_as_it_says() {
+    let coarse = ["--gain", "5", "--quanta-per-mas", "100", "--levels-mas", "1,2,4,8", "--frames", "3", "--darks", "0"];
+    let mut squares = Vec::new();
+    for (seed, others) in [("120", ["--output-sigma", "0"]), ("121", ["--output-sigma", "0"]), ("122", ["--broken", "8"])] {
+        let Some(panel) = panel(&[&coarse[..], &others, &["--seed", seed]].concat()) else { return };
+        let record = panel.calibrated(&["--bits", "14", "--counting"]).record;
+        let (offset, sigma) = (record.offset_value.expect("fitted"), record.offset_sigma_value.expect("fitted"));
+        let is_exact = others[0] == "--output-sigma";
+        assert!(sigma < if is_exact { 0.4 } else { 3.0 }, "{seed}: ± {sigma}, where half a quantum is 2.5");
+        assert!((offset - 212.0).abs() < 3.5 * sigma, "{seed}: {offset} ± {sigma}");
+        squares.extend(is_exact.then(|| ((offset - 212.0) / sigma).powi(2)));
+        assert_eq!(record.readout_sigma_value, None, "{seed}: 2.5 below quanta's 50 to 140");
+        assert!(record.notes.iter().any(|note| note.contains("electronic noise is not known")), "{:?}", record.notes);
+    }
+    assert!(squares.len() == 2 && squares.iter().sum::<f64>() < 14.0, "{squares:?}");
+
+    let faint = ["--seed", "123", "--quanta-per-mas", "100", "--darks", "0"];
+    let Some(faint) = panel(&faint) else { return };
+    let record = faint.calibrated(&["--bits", "14", "--counting"]).record;
+    let readout = record.readout_sigma_value.expect("as large as quanta's") / number(&faint.truth["readout_sigma_value"]);
+    assert!((readout - 1.0).abs() < 0.05, "{readout}");
+}
+
+/// Blocks of one column at the end of a panel were judged as full ones: good frames were refused, for a place outside the panel.
+#[test]
+fn a_panel_of_any_width_is_judged_by_as_many_pixels_everywhere() {
+    let coarse = ["--seed", "124", "--columns", "177", "--rows", "217", "--gain", "5", "--quanta-per-mas", "120"];
+    let coarse = [&coarse[..], &["--levels-mas", "1,2,4,8", "--frames", "2", "--darks", "4", "--broken", "6"]].concat();
+    let Some(good) = panel(&coarse) else { return };
+    let left_out = &good.calibrated(&["--bits", "14", "--counting"]).record.beams[0].frames_left_out;
+    assert!(left_out.is_empty(), "{left_out:?}");
+    let Some(bead) = panel(&[&coarse[..], &["--beads", "1"]].concat()) else { return };
+    let left_out = &bead.calibrated(&["--bits", "14", "--counting"]).record.beams[0].frames_left_out;
+    assert!(left_out.len() == 1 && left_out[0].contains("near column 52, row 84"), "{left_out:?}");
+}
+
+/// Line noise was summed as if it were of shared quanta, "correlation up to 1.027", and the gain stated with a sigma of a percent.
+#[test]
+fn noise_of_whole_columns_is_no_light_that_spreads() {
+    let mut refused = 0;
+    for line_sigma in ["30", "60"] {
+        let Some(lines) = panel(&["--seed", "125", "--line-sigma", line_sigma]) else { return };
+        lines.refused(&["--bits", "14", "--counting"], &["noise in common", "0 columns", "take frames as the panel reads them"]);
+        refused += 1;
+    }
+    assert_eq!(refused, 2);
+    let Some(weak) = panel(&["--seed", "126", "--line-sigma", "4", "--frames", "8"]) else { return };
+    let record = weak.calibrated(&["--bits", "14", "--counting"]).record;
+    let sigma = record.beams[0].gain_relative_sigma.expect("stated");
+    assert!((0.03..0.1).contains(&sigma), "{sigma}: three rows each way at a correlation of 4² / (0.37 · 4100)");
+    assert!(record.notes.iter().any(|note| note.contains("in doubt")), "{:?}", record.notes);
+}
+
 /// The wedge's line integral, as `mock-detector` draws it.
 fn wedge(frame: &Frame) -> Image<f32> {
     let [columns, rows] = frame.size_px;

@@ -53,6 +53,8 @@ pub struct Panel {
     pub offset_sigma: f64,
     /// Electronic noise, stored value.
     pub readout_sigma: f64,
+    /// Electronic noise that a whole column has in common, another in each frame, stored value.
+    pub line_sigma: f64,
     /// Of the tube's output from exposure to exposure.
     pub output_sigma: f64,
     /// Share of a pixel's light that each of its four neighbours sees.
@@ -76,6 +78,7 @@ impl Default for Panel {
             pattern_sigma: 0.02,
             offset_sigma: 3.0,
             readout_sigma: 2.5,
+            line_sigma: 0.0,
             output_sigma: 0.002,
             spread: 0.0,
             broken: 0,
@@ -187,10 +190,15 @@ impl Made {
             light = spread(&light, columns, rows, panel.spread);
         }
         let end = f64::from((1u32 << panel.bits) - 1);
+        let lines = (0..columns).map(|_| if panel.line_sigma > 0.0 { normal(panel.line_sigma, &mut random) } else { 0.0 });
+        let lines: Vec<f64> = lines.collect();
         let mut values: Vec<f64> = light
             .iter()
             .enumerate()
-            .map(|(at, light)| self.offset[at] + panel.gain * self.gain[at] * light + normal(panel.readout_sigma, &mut random))
+            .map(|(at, light)| {
+                let expected = self.offset[at] + panel.gain * self.gain[at] * light;
+                expected + lines[at % columns] + normal(panel.readout_sigma, &mut random)
+            })
             .collect();
         for &at in &self.broken[0] {
             values[at] = self.offset[at] + normal(panel.readout_sigma, &mut random);

@@ -35,6 +35,12 @@ struct Args {
     /// Add up the energy of photons instead of counting quanta.
     #[arg(long)]
     energy: bool,
+    /// Scatter of the tube's output from exposure to exposure, as a share.
+    #[arg(long, default_value_t = 0.002)]
+    output_sigma: f64,
+    /// Noise that a whole column has in common in a frame, stored value.
+    #[arg(long, default_value_t = 0.0)]
+    line_sigma: f64,
     /// Share of a pixel's light that each neighbour sees.
     #[arg(long, default_value_t = 0.0)]
     spread: f64,
@@ -79,6 +85,8 @@ fn main() -> ExitCode {
         gain: args.gain,
         offset: args.offset,
         quanta_per_mas: args.quanta_per_mas,
+        output_sigma: args.output_sigma,
+        line_sigma: args.line_sigma,
         spread: args.spread,
         broken: args.broken,
         seed: args.seed,

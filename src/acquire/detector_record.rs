@@ -153,16 +153,16 @@ pub struct DetectorRecord {
     /// Stored value at which the panel saturates.
     #[serde(default)]
     pub saturation_value: Option<f64>,
-    /// Stored value without X-rays, median over the panel.
+    /// Stored value without X-rays: from darks the median over the panel, from exposures the mean of the good pixels.
     #[serde(default)]
     pub offset_value: Option<f64>,
-    /// Standard deviation of that median.
+    /// Its standard deviation.
     #[serde(default)]
     pub offset_sigma_value: Option<f64>,
     /// What the offset rests on: `darks` or `exposures`.
     #[serde(default)]
     pub offset_from: Option<String>,
-    /// Electronic noise of a pixel, rounding included.
+    /// Electronic noise of a pixel, rounding included; `None` where neither two darks nor the air frames determine it.
     #[serde(default)]
     pub readout_sigma_value: Option<f64>,
     /// Stored value of the unattenuated signal, offset included, for any exposure: for panels behind a normalising console.

@@ -48,7 +48,7 @@ pub(super) struct AirMap {
 const PROPORTIONAL: f64 = 0.05;
 /// Exposures that differ by less are one level.
 const SAME_LEVEL: f64 = 0.03;
-/// Side of the blocks in which frames are compared with each other.
+/// Least side of the blocks in which frames are compared with each other.
 const BLOCK_PX: usize = 8;
 /// A block differs when it is this many deviations off …
 const OUTLIER_SIGMAS: f64 = 8.0;
@@ -160,19 +160,29 @@ fn outliers(frames: &[(&PanelFrame, f64)], offset: &Offset) -> Vec<(usize, Strin
         return Vec::new();
     }
     let (width, height) = (frames[0].0.pixels.width, frames[0].0.pixels.height);
-    let (across, down) = (width.div_ceil(BLOCK_PX), height.div_ceil(BLOCK_PX));
-    let shapes: Vec<Vec<f64>> = frames.iter().map(|(frame, signal)| block_means(frame, *signal, offset, across, down)).collect();
+    let blocks = blocks(width, height);
+    let shapes: Vec<Vec<f64>> = frames.iter().map(|(frame, signal)| block_means(frame, *signal, offset, &blocks)).collect();
     let mut found = Vec::new();
     let typical: Vec<f64> =
-        (0..across * down).map(|block| median(shapes.iter().map(|shape| shape[block] as f32).collect())).collect();
+        (0..blocks.len()).map(|block| median(shapes.iter().map(|shape| shape[block] as f32).collect())).collect();
+    // A block is as uncertain as its pixels are few.
+    let pixels = (width * height) as f64 / blocks.len() as f64;
+    let uncertainty = |block: usize| {
+        let [left, top, right, bottom] = blocks[block];
+        (pixels / ((right - left) * (bottom - top)) as f64).sqrt()
+    };
     for (index, shape) in shapes.iter().enumerate() {
         let relative: Vec<f64> = shape.iter().zip(&typical).map(|(a, b)| if *b > 0.0 { a / b - 1.0 } else { 0.0 }).collect();
         let (centre, deviation) = median_and_deviation(&relative);
-        let worst = relative.iter().enumerate().max_by(|a, b| (a.1 - centre).abs().total_cmp(&(b.1 - centre).abs()));
-        let Some((block, change)) = worst else { continue };
-        let change = change - centre;
-        if !(change.abs() <= (OUTLIER_SIGMAS * deviation).max(OUTLIER_SHARE)) {
-            let (column, row) = (block % across * BLOCK_PX + BLOCK_PX / 2, block / across * BLOCK_PX + BLOCK_PX / 2);
+        let excess = |block: usize| {
+            (relative[block] - centre).abs() / (OUTLIER_SIGMAS * deviation * uncertainty(block)).max(OUTLIER_SHARE)
+        };
+        let worst = (0..blocks.len()).max_by(|a, b| excess(*a).total_cmp(&excess(*b)));
+        let Some(block) = worst else { continue };
+        if !(excess(block) <= 1.0) {
+            let change = relative[block] - centre;
+            let [left, top, right, bottom] = blocks[block];
+            let (column, row) = ((left + right) / 2, (top + bottom) / 2);
             let label = &frames[index].0.label;
             found.push((
                 index,
@@ -186,26 +196,29 @@ fn outliers(frames: &[(&PanelFrame, f64)], offset: &Offset) -> Vec<(usize, Strin
     found
 }
 
-/// Signal of each block relative to the frame's, from the middle half of its pixels: single bad pixels do not matter.
-fn block_means(frame: &PanelFrame, signal: f64, offset: &Offset, across: usize, down: usize) -> Vec<f64> {
+/// Left, top, right and bottom of blocks that share the panel evenly: in a narrow rest at its end the noise of few pixels, or one that is
+/// dead, would look like a thing in the beam.
+fn blocks(width: usize, height: usize) -> Vec<[usize; 4]> {
+    let (across, down) = ((width / BLOCK_PX).max(1), (height / BLOCK_PX).max(1));
+    let (column, row) = (|nth: usize| nth * width / across, |nth: usize| nth * height / down);
+    let block = |nth: usize| {
+        let (u, v) = (nth % across, nth / across);
+        [column(u), row(v), column(u + 1), row(v + 1)]
+    };
+    (0..across * down).map(block).collect()
+}
+
+/// Signal of each block relative to the frame's, without the outermost eighths of its pixels: single bad pixels do not matter.
+fn block_means(frame: &PanelFrame, signal: f64, offset: &Offset, blocks: &[[usize; 4]]) -> Vec<f64> {
     let pixels = &frame.pixels;
-    let mut means = Vec::with_capacity(across * down);
-    let mut values = Vec::with_capacity(BLOCK_PX * BLOCK_PX);
-    for top in (0..pixels.height).step_by(BLOCK_PX) {
-        for left in (0..pixels.width).step_by(BLOCK_PX) {
-            values.clear();
-            for row in top..(top + BLOCK_PX).min(pixels.height) {
-                for column in left..(left + BLOCK_PX).min(pixels.width) {
-                    let at = row * pixels.width + column;
-                    values.push((f64::from(pixels.pixels[at]) - offset.at(at)) / signal);
-                }
-            }
-            values.sort_unstable_by(f64::total_cmp);
-            let middle = &values[values.len() / 8..values.len() - values.len() / 8];
-            means.push(middle.iter().sum::<f64>() / middle.len() as f64);
-        }
-    }
-    means
+    let mean = |&[left, top, right, bottom]: &[usize; 4]| {
+        let places = (top..bottom).flat_map(|row| (left..right).map(move |column| row * pixels.width + column));
+        let mut values: Vec<f64> = places.map(|at| (f64::from(pixels.pixels[at]) - offset.at(at)) / signal).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        let middle = &values[values.len() / 8..values.len() - values.len() / 8];
+        middle.iter().sum::<f64>() / middle.len() as f64
+    };
+    blocks.iter().map(mean).collect()
 }
 
 /// The air signal of frames that agree; `bad` pixels known so far are left out of the surface.
@@ -285,4 +298,26 @@ fn refuse_objects(group: &Consistent, share: &Image<f32>, smooth: &Image<f32>, b
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A last block of one column was judged as a full one, and named a place outside the panel.
+    #[test]
+    fn blocks_share_a_panel_of_any_size_and_none_is_narrow() {
+        let mut cases = 0;
+        for (width, height) in [(177, 217), (193, 248), (256, 192), (9, 15), (8, 8), (5, 1), (64, 3)] {
+            let mut seen = vec![0; width * height];
+            for [left, top, right, bottom] in blocks(width, height) {
+                assert!(right - left >= BLOCK_PX.min(width) && bottom - top >= BLOCK_PX.min(height), "{width} x {height}");
+                assert!((left + right) / 2 < width && (top + bottom) / 2 < height, "{width} x {height}");
+                (top..bottom).for_each(|row| (left..right).for_each(|column| seen[row * width + column] += 1));
+            }
+            assert!(seen.iter().all(|times| *times == 1), "{width} x {height}");
+            cases += 1;
+        }
+        assert_eq!(cases, 7);
+    }
 }

@@ -131,6 +131,22 @@ pub enum DetectorError {
         /// Found.
         slope: f64,
     },
+    /// Noise that pixels have in common and that is not of shared quanta.
+    #[error(
+        "at {beam}, pixels {columns} columns and {rows} rows apart have noise in common (correlation {correlation:.2}) that is not of light \
+         that spreads: whole lines vary as one, or the frames were smoothed or enlarged, and the gain is not known; take frames as the \
+         panel reads them, or have its line noise corrected"
+    )]
+    CommonNoise {
+        /// Tube voltage and filter, in words.
+        beam: String,
+        /// From one to the other.
+        columns: usize,
+        /// From one to the other.
+        rows: usize,
+        /// Over the variance that rises with the signal.
+        correlation: f64,
+    },
     /// The edge frame shows no usable edge.
     #[error("{label}: {detail}")]
     Edge {

@@ -9,6 +9,8 @@
 //! Photon transfer: a panel that stores `offset + gain · quanta` has a variance of `gain · (mean − offset)` plus its electronics'. The
 //! fixed pattern would add to the variance, so it is taken from differences of two frames of the same exposure. An energy-integrating
 //! panel sums photons of different energies; one quantum of its noise is ⟨E²⟩/⟨E⟩, and photons outnumber quanta by ⟨E²⟩/⟨E⟩².
+//!
+//! Without darks the air frames are measured twice: what they say with a first offset gives a sharper one.
 
 mod air;
 mod bad_pixels;
@@ -16,6 +18,7 @@ mod edge;
 mod error;
 mod fourier;
 mod groups;
+mod intercept;
 mod measurement;
 mod noise_power;
 mod offset;
@@ -41,25 +44,20 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     let saturation = saturation_value(measurement, &mut notes);
     let groups = groups::group(&measurement.air, saturation)?;
     check_filtration(measurement.filter.as_deref(), &groups)?;
-    let offset = offset::find(&measurement.dark, &groups, saturation, &mut notes)?;
+    let mut offset = offset::find(&measurement.dark, &groups, saturation, &mut notes)?;
+    let (mut measured, mut bad) = measure(&groups, &offset, size_px, saturation)?;
+    if measurement.dark.is_empty() {
+        let lines: Vec<_> = measured.iter().map(|beam| (&beam.group, &beam.transfer)).collect();
+        offset = intercept::refined(&offset, &lines, &bad, &mut notes)?;
+        (measured, bad) = measure(&groups, &offset, size_px, saturation)?;
+    }
     let mut beams = Vec::new();
     let mut maps = PanelMaps { offset_value: offset.map.clone(), ..PanelMaps::default() };
-    let mut bad = bad_pixels::hot(&offset, size_px);
-    let (mut nps, mut fitted_readout_sigma) = (None, None);
-    for group in &groups {
-        let consistent = air::consistent(group, &offset)?;
-        let air = air::map(&consistent, &offset, &bad)?;
-        bad_pixels::add_dead(&mut bad, &air);
-        let transferred = transfer::find(&consistent, &offset, &bad, saturation)?;
-        bad_pixels::add_unstable(&mut bad, &consistent, &air, &offset, &transferred);
-        // Once more without the pixels that turned out to be unstable.
-        let transferred = transfer::find(&consistent, &offset, &bad, saturation)?;
-        if nps.is_none() {
-            nps = noise_power::find(&consistent, &offset, &air, &bad, measurement.pitch_mm);
-        }
-        fitted_readout_sigma = fitted_readout_sigma.or(transferred.readout_sigma);
-        notes.extend(transferred.notes.iter().cloned());
-        beams.push(beam(measurement, &consistent, &air, &transferred));
+    let nps = measured.iter().find_map(|of| noise_power::find(&of.group, &offset, &of.air, &bad, measurement.pitch_mm));
+    let readout_sigma = offset.readout_sigma.or_else(|| fitted_readout_sigma(&measured, &mut notes));
+    for MeasuredBeam { group, air, transfer } in measured {
+        beams.push(beam(measurement, &group, &air, &transfer));
+        notes.extend(transfer.notes);
         maps.air_share.push(air.share);
     }
     let mtf = match &measurement.edge {
@@ -86,7 +84,7 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
         offset_value: Some(offset.median),
         offset_sigma_value: Some(offset.sigma),
         offset_from: Some(offset.from.to_owned()),
-        readout_sigma_value: offset.readout_sigma.or(fitted_readout_sigma),
+        readout_sigma_value: readout_sigma,
         air_value: None,
         photons_per_pixel: None,
         noise_correlation_first_neighbour: None,
@@ -100,6 +98,56 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     };
     maps.bad = Some(bad);
     Ok(DetectorCalibration { record, maps })
+}
+
+/// What the air frames of a beam say, given the offset.
+struct MeasuredBeam<'a> {
+    group: air::Consistent<'a>,
+    air: air::AirMap,
+    transfer: transfer::Transfer,
+}
+
+/// All beams, and the pixels that are bad in any.
+fn measure<'a>(
+    groups: &[groups::Group<'a>],
+    offset: &offset::Offset,
+    size_px: [usize; 2],
+    saturation: Option<f64>,
+) -> Result<(Vec<MeasuredBeam<'a>>, Image<u8>), DetectorError> {
+    let mut bad = bad_pixels::hot(offset, size_px);
+    let mut measured = Vec::new();
+    for group in groups {
+        let group = air::consistent(group, offset)?;
+        let air = air::map(&group, offset, &bad)?;
+        bad_pixels::add_dead(&mut bad, &air);
+        let transfer = transfer::find(&group, offset, &bad, saturation)?;
+        bad_pixels::add_unstable(&mut bad, &group, &air, offset, &transfer);
+        // Once more without the pixels that turned out to be unstable.
+        let transfer = transfer::find(&group, offset, &bad, saturation)?;
+        measured.push(MeasuredBeam { group, air, transfer });
+    }
+    Ok((measured, bad))
+}
+
+/// A variance this many of its standard deviations above zero gives the electronic noise to a tenth.
+const READOUT_SIGMAS: f64 = 5.0;
+
+/// Electronic noise without two darks, from the beam that gives it best; `None` where the quanta's noise drowns it.
+fn fitted_readout_sigma(measured: &[MeasuredBeam], notes: &mut Vec<String>) -> Option<f64> {
+    let ends = measured.iter().filter_map(|beam| beam.transfer.end_variance);
+    let [variance, sigma] = ends.min_by(|a, b| a[1].total_cmp(&b[1]))?;
+    if !(variance > READOUT_SIGMAS * sigma) {
+        notes.push(format!(
+            "the electronic noise is not known: the air frames give its variance as {variance:.1} ± {sigma:.1}; take two dark frames (--dark)"
+        ));
+        return None;
+    }
+    let readout = variance.sqrt();
+    notes.push(format!(
+        "electronic noise of {readout:.2} ± {:.2} from the air frames, where their variance ends without signal",
+        0.5 * sigma / readout
+    ));
+    Some(readout)
 }
 
 fn check_frames(measurement: &Measurement) -> Result<[usize; 2], DetectorError> {

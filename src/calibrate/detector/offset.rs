@@ -1,4 +1,5 @@
-//! The stored value without X-rays: from darks, pixel by pixel, else from where the signal of several exposures would vanish.
+//! The stored value without X-rays: from darks, pixel by pixel, else from where the signal of several exposures would vanish, as well as
+//! medians of the frames tell.
 
 use super::error::DetectorError;
 use super::groups::{Group, median, median_and_deviation};
@@ -32,6 +33,8 @@ impl Offset {
 const DARK_DRIFT: (f64, f64) = (3.0, 3.0);
 /// Exposures this much apart are different levels.
 const SAME_MAS: f64 = 0.02;
+/// Levels that determine a line and show whether it is one.
+const LEAST_LEVELS: usize = 3;
 /// An offset that is less certain than this share of the largest signal is not used.
 const MOST_UNCERTAIN: f64 = 5e-3;
 /// Maps are kept in steps of this, so that they pack.
@@ -43,7 +46,7 @@ pub(super) fn find(
     saturation: Option<f64>,
     notes: &mut Vec<String>,
 ) -> Result<Offset, DetectorError> {
-    if dark.is_empty() { from_exposures(groups, notes) } else { from_darks(dark, saturation, notes) }
+    if dark.is_empty() { from_exposures(groups) } else { from_darks(dark, saturation, notes) }
 }
 
 fn from_darks(dark: &[PanelFrame], saturation: Option<f64>, notes: &mut Vec<String>) -> Result<Offset, DetectorError> {
@@ -55,7 +58,7 @@ fn from_darks(dark: &[PanelFrame], saturation: Option<f64>, notes: &mut Vec<Stri
         return Err(DetectorError::DarkDiffers { label: frame.label.clone(), found: *found, expected });
     }
     if dark.len() == 1 {
-        notes.push("one dark frame only: electronic noise comes from the air frames, unstable dark pixels are not found".into());
+        notes.push("one dark frame only: unstable dark pixels are not found".into());
     }
     let count = dark[0].pixels.pixels.len();
     let n = dark.len() as f64;
@@ -116,16 +119,12 @@ pub(super) fn clipped_variance(values: &[f64]) -> f64 {
 }
 
 /// `signal = offset + k · mAs`, every frame with the same relative weight: tube output scatters by a share of itself.
-fn from_exposures(groups: &[Group], notes: &mut Vec<String>) -> Result<Offset, DetectorError> {
-    let refused = |detail: &str| DetectorError::NoOffset { detail: detail.to_owned() };
+fn from_exposures(groups: &[Group]) -> Result<Offset, DetectorError> {
     let mut best: Option<(f64, f64, f64)> = None;
     for group in groups {
         let points: Vec<[f64; 2]> =
             group.frames.iter().filter_map(|f| Some([f.exposure_mas?, median(f.pixels.pixels.clone())])).collect();
-        let mut levels: Vec<f64> = points.iter().map(|point| point[0]).collect();
-        levels.sort_by(f64::total_cmp);
-        levels.dedup_by(|a, b| (*a - *b).abs() <= SAME_MAS * *b);
-        if levels.len() < 3 {
+        if !has_levels(&points) {
             continue;
         }
         let fitted = weighted_line(&points);
@@ -136,15 +135,25 @@ fn from_exposures(groups: &[Group], notes: &mut Vec<String>) -> Result<Offset, D
             best = Some((intercept, sigma, largest));
         }
     }
-    let (intercept, sigma, largest) =
-        best.ok_or_else(|| refused("the air frames do not state three different exposures (mAs) at one tube voltage"))?;
+    of_exposures(best)
+}
+
+/// Whether `points`, mAs and value, are of enough levels.
+pub(super) fn has_levels(points: &[[f64; 2]]) -> bool {
+    let mut levels: Vec<f64> = points.iter().map(|point| point[0]).collect();
+    levels.sort_by(f64::total_cmp);
+    levels.dedup_by(|a, b| (*a - *b).abs() <= SAME_MAS * *b);
+    levels.len() >= LEAST_LEVELS
+}
+
+/// Of the intercept, its standard deviation and the largest value.
+pub(super) fn of_exposures(best: Option<(f64, f64, f64)>) -> Result<Offset, DetectorError> {
+    let refused = |detail: String| DetectorError::NoOffset { detail };
+    let (intercept, sigma, largest) = best
+        .ok_or_else(|| refused("the air frames do not state three different exposures (mAs) at one tube voltage".to_owned()))?;
     if !(sigma <= MOST_UNCERTAIN * largest) {
-        return Err(refused(&format!("the exposures give it as {intercept:.0} ± {sigma:.0} only")));
+        return Err(refused(format!("the exposures give it as {intercept:.0} ± {sigma:.0} only")));
     }
-    notes.push(format!(
-        "no dark frames: one offset of {intercept:.1} ± {sigma:.1} for all pixels, from where the signal of the exposures vanishes; hot \
-         pixels are not found"
-    ));
     Ok(Offset {
         map: None,
         median: intercept,

@@ -3,7 +3,8 @@
 //! For frames a and b with signals m_a and m_b = m_a / r, the difference d = a − r·b has no fixed pattern left, and
 //! Var d = gain · (m_a + r² m_b) + (1 + r²) σ². Divided by (1 + r²) it lies on the line `σ² + gain · x`, x the weighted mean signal.
 //! Light that spreads in the scintillator makes neighbours share quanta: a pixel's own variance is too small then, and the variance is
-//! summed over the covariances with its neighbours instead, where these are seen at all.
+//! summed over the covariances with its neighbours instead, where these are seen at all. Light is spent after a few pixels; what whole
+//! lines have in common is not, and the sum would take it for quanta.
 
 use rayon::prelude::*;
 
@@ -17,8 +18,8 @@ pub(super) struct Transfer {
     /// Stored value per quantum.
     pub gain: f64,
     pub relative_sigma: f64,
-    /// Electronic noise as the line's end gives it, where darks do not.
-    pub readout_sigma: Option<f64>,
+    /// Variance of a pixel without signal as the line's end gives it, and its standard deviation, where darks do not.
+    pub end_variance: Option<[f64; 2]>,
     /// Slope and end of the line of single pixels' variance.
     pixel_line: [f64; 2],
     pub notes: Vec<String>,
@@ -28,6 +29,11 @@ impl Transfer {
     /// Variance of a pixel at a mean signal.
     pub(super) fn variance(&self, signal: f64) -> f64 {
         self.pixel_line[0] * signal.max(0.0) + self.pixel_line[1]
+    }
+
+    /// Variance of the mean of `count` pixels of a mean signal: what neighbours share counts, as in the gain.
+    pub(super) fn variance_of_mean(&self, signal: f64, count: usize) -> f64 {
+        (self.gain * signal.max(0.0) + self.pixel_line[1].max(1.0 / 12.0)) / count as f64
     }
 }
 
@@ -43,6 +49,12 @@ const CLIP_SIGMAS: f64 = 7.0;
 const SHARED_SIGMAS: f64 = 4.0;
 /// … and at least this.
 const SHARED_LEAST: f64 = 0.003;
+/// Light that spreads less than the reach leaves neighbours a smaller correlation than this …
+const SPREAD_MOST: f64 = 0.9;
+/// … and at the reach a smaller share of the next pixel's than this, else a whole line varies as one.
+const SPREAD_SHARE: f64 = 0.5;
+/// Lines may add this share to the gain, which is then so much less certain.
+const LINES_MOST: f64 = 0.1;
 
 /// One block of one pair of frames.
 struct Point {
@@ -81,6 +93,7 @@ pub(super) fn find(
         return Err(DetectorError::NoTransfer { beam: group.beam.words(), slope: single.slope });
     }
     let mut notes = Vec::new();
+    let beam = || group.beam.words();
     // Correlation of quantum noise with each neighbour; a covariance of n pixels scatters by variance / √n.
     let count = neighbours().len();
     let (mut shared, mut variance, mut scatter) = (vec![0.0; count], 0.0, 0.0);
@@ -96,14 +109,21 @@ pub(super) fn find(
     // Light that reaches the next pixel correlates pixels twice as far apart, however weakly.
     let farthest = (0..count).filter(|k| shares(*k)).map(distance).fold(0.0, f64::max);
     let seen: Vec<usize> = (0..count).filter(|k| farthest > 0.0 && distance(*k) <= farthest.max(2.0)).collect();
+    let mut common = None;
     let chosen = if seen.is_empty() {
         single
     } else {
+        common = common_to_lines(&correlations, shares).map_err(|(apart_px, correlation)| DetectorError::CommonNoise {
+            beam: beam(),
+            columns: apart_px[0].unsigned_abs(),
+            rows: apart_px[1].unsigned_abs(),
+            correlation,
+        })?;
         let strongest = correlations.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
         notes.push(format!(
             "{}: pixels share quanta with {} neighbours (correlation up to {strongest:.3}); the gain is from variances \
              summed over these, a single pixel's variance alone would give {:.4}",
-            group.beam.words(),
+            beam(),
             2 * seen.len(),
             single.slope
         ));
@@ -115,13 +135,44 @@ pub(super) fn find(
     if !(chosen.slope > 0.0 && chosen.slope.is_finite()) {
         return Err(DetectorError::NoTransfer { beam: group.beam.words(), slope: chosen.slope });
     }
+    if let Some(share) = common {
+        notes.push(format!(
+            "{}: in doubt, noise is common to whole lines of pixels: the gain may be too large by {:.1} %, which its sigma includes",
+            beam(),
+            100.0 * share
+        ));
+    }
     Ok(Transfer {
         gain: chosen.slope,
-        relative_sigma: chosen.slope_sigma / chosen.slope,
-        readout_sigma: readout.is_none().then(|| single.end.max(0.0).sqrt()),
+        relative_sigma: (chosen.slope_sigma / chosen.slope).hypot(common.unwrap_or(0.0)),
+        // A wrong offset shifts every point along the line.
+        end_variance: readout.is_none().then(|| [single.end, single.end_sigma.hypot(single.slope * offset.sigma)]),
         pixel_line: [single.slope, single.end.max(0.0)],
         notes,
     })
+}
+
+/// The share that noise common to whole lines adds to the gain, if any; where the correlations are none of light that spreads, the columns
+/// and rows to the neighbour and its correlation.
+fn common_to_lines(correlations: &[f64], shares: impl Fn(usize) -> bool) -> Result<Option<f64>, ([isize; 2], f64)> {
+    let neighbours = neighbours();
+    if let Some(k) = (0..neighbours.len()).find(|&k| shares(k) && !(correlations[k].abs() <= SPREAD_MOST)) {
+        return Err((neighbours[k], correlations[k]));
+    }
+    let reach = REACH_PX as isize;
+    let mut common = None;
+    for (near, far) in [([1, 0], [reach, 0]), ([0, 1], [0, reach])] {
+        let index = |apart_px: [isize; 2]| neighbours.iter().position(|neighbour| *neighbour == apart_px);
+        let (Some(near), Some(far)) = (index(near), index(far)) else { continue };
+        if shares(far) && correlations[far].abs() > SPREAD_SHARE * correlations[near].abs() {
+            let share = 2.0 * REACH_PX as f64 * correlations[far].abs();
+            if !(share <= LINES_MOST) {
+                return Err((neighbours[far], correlations[far]));
+            }
+            common = Some(common.unwrap_or(0.0) + share);
+        }
+    }
+    Ok(common)
 }
 
 #[derive(Clone, Copy)]
@@ -129,12 +180,13 @@ struct Line {
     slope: f64,
     slope_sigma: f64,
     end: f64,
+    end_sigma: f64,
 }
 
 /// Weighted least squares; the end of the line is `fixed` where darks give it. Weights follow the line itself, not the scattered points,
 /// which would pull it down.
 fn line(points: &[Point], value: impl Fn(&Point) -> f64, fixed: Option<f64>) -> Line {
-    let mut found = Line { slope: 1.0, slope_sigma: f64::NAN, end: fixed.unwrap_or(0.0) };
+    let mut found = Line { slope: 1.0, slope_sigma: f64::NAN, end: fixed.unwrap_or(0.0), end_sigma: 0.0 };
     for round in 0..6 {
         let mut sums = [0.0f64; 5];
         for point in points {
@@ -147,13 +199,14 @@ fn line(points: &[Point], value: impl Fn(&Point) -> f64, fixed: Option<f64>) -> 
         }
         let [w, x, xx, y, xy] = sums;
         found = match fixed {
-            Some(end) => Line { slope: xy / xx, slope_sigma: 1.0 / xx.sqrt(), end },
+            Some(end) => Line { slope: xy / xx, slope_sigma: 1.0 / xx.sqrt(), end, end_sigma: 0.0 },
             None => {
                 let determinant = w * xx - x * x;
                 Line {
                     slope: (w * xy - x * y) / determinant,
                     slope_sigma: (w / determinant).sqrt(),
                     end: (xx * y - x * xy) / determinant,
+                    end_sigma: (xx / determinant).sqrt(),
                 }
             }
         };
@@ -239,4 +292,30 @@ fn statistics(differences: &[Option<f64>], signal: f64, divisor: f64) -> Option<
         covariances: covariances.iter().map(|covariance| (covariance + lost) / divisor).collect(),
         pixels: count,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_spreads_falls_off_and_a_line_that_varies_as_one_does_not() {
+        // Of a Gaussian blur of `sigma_px`, and of lines along the rows of pixels.
+        let blurred = |sigma_px: f64, line: f64| -> Vec<f64> {
+            let at = |[du, dv]: [isize; 2]| {
+                let squared = (du * du + dv * dv) as f64;
+                (-squared / (4.0 * sigma_px * sigma_px)).exp() + if dv == 0 { line } else { 0.0 }
+            };
+            neighbours().into_iter().map(at).collect()
+        };
+        let judged = |correlations: &[f64]| common_to_lines(correlations, |k| correlations[k].abs() > SHARED_LEAST);
+        for sigma_px in [0.2, 0.5, 1.0, 1.4] {
+            assert_eq!(judged(&blurred(sigma_px, 0.0)), Ok(None), "{sigma_px}");
+        }
+        assert!(judged(&blurred(2.5, 0.0)).is_err(), "farther than the sum reaches");
+        let weak = judged(&blurred(0.2, 0.01)).expect("little").expect("seen");
+        assert!((weak - 0.06).abs() < 0.005, "{weak}");
+        assert_eq!(judged(&blurred(0.2, 0.3)).map_err(|(apart_px, _)| apart_px), Err([3, 0]));
+        assert!(judged(&blurred(0.2, 1.027)).is_err_and(|(_, correlation)| correlation > 1.0));
+    }
 }

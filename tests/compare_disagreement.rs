@@ -74,6 +74,35 @@ fn values_nepers_apart_and_unrelated_images_are_said_and_scatter_is_not() {
     assert!(pair.reason.is_some_and(|reason| reason.contains("hardly correlate")));
 }
 
+/// An eighth of the frame was open air that read twice the level that was stated, and nothing was said.
+#[test]
+fn an_air_level_that_much_of_the_frame_exceeds_is_said() {
+    let simulated = line_integral(&view());
+    let unmasked = Masks::default();
+    let right = acquired(&simulated, 0.05);
+    let stored = Frame { pixels: right.pixels.map(|v| 10_000.0 * v), unit: None, ..right };
+    let told = |level: f64| {
+        compared(&CompareInput {
+            air: AirLevel::Value(level),
+            offset: OffsetRule::None,
+            masks: Some(&unmasked),
+            ..CompareInput::new(&stored, &simulated)
+        })
+    };
+    for level in [10_000.0, 9000.0, 20_000.0] {
+        let found = told(level).disagreements;
+        assert!(found.is_empty(), "heel, gain and scatter may do as much: {level}: {found:?}");
+    }
+    let found = told(5000.0);
+    let [Disagreement::AboveAir { declared, share, times }] = found.disagreements[..] else { panic!("{found:?}") };
+    assert!(declared == 5000.0 && share > 0.05 && times > 1.5 && times < 2.1, "{found:?}");
+    assert!(found.flags.iter().any(|flag| flag.contains("air level 5000 is too low")), "{:?}", found.flags);
+    // The level that the frame itself shows is contradicted by nothing.
+    let open =
+        compared(&CompareInput { offset: OffsetRule::None, masks: Some(&unmasked), ..CompareInput::new(&stored, &simulated) });
+    assert!(open.disagreements.is_empty(), "{:?}", open.disagreements);
+}
+
 /// Fourteen bits of data in sixteen bits stored, larger meaning fewer X-rays: turned round about 65535, its dark level lay at 49152, and
 /// logarithms of that were given out as nepers.
 #[test]

@@ -87,6 +87,29 @@ fn the_newest_frame_is_registered_as_a_live_one_and_damaged_ones_are_named() {
     assert!(level == "warn" && words.contains("frame-003") && words.contains("every frame is refused"), "{words}");
 }
 
+/// Of a session whose K had twice the focal length of its frames' headers, `check` gave advice on beads.
+#[test]
+fn k_of_twice_the_headers_focal_length_is_said_with_both_and_is_what_to_correct() {
+    let Some(lab) = lab() else { return };
+    edit(&lab.kit, "session.json", |session| {
+        session["carm"] = Value::Null;
+        session["intrinsics"] = value!("k.json");
+    });
+    let (rows, _) = check_unrehearsed(&lab.kit);
+    let (_, level, words) = row(&rows, "newest frame's pose");
+    assert!(level == "pass" && !words.contains("K says"), "the control: {words}");
+    edit(&lab.kit, "k.json", |k| {
+        for axis in [0, 1] {
+            k["intrinsics"][axis][axis] = value!(2.0 * k["intrinsics"][axis][axis].as_f64().expect("a number"));
+        }
+    });
+    let (rows, _) = check_unrehearsed(&lab.kit);
+    let (_, level, words) = row(&rows, "newest frame's pose");
+    let parts = ["K says f 5258 px, the header's SID and pitch say 2629 px", "correct K"];
+    assert!(level == "warn" && parts.iter().all(|part| words.contains(part)), "{words}");
+    assert!(!words.contains("open the collimator"), "{words}");
+}
+
 type Case = (&'static str, fn(&Path), &'static str, &'static [&'static str]);
 
 /// Sessions, and what the rehearsed exposure makes of them.

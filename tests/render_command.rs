@@ -133,6 +133,46 @@ struct TypedCompare {
     args: CompareArgs,
 }
 
+/// A mask in which nothing is drawn was taken without a word.
+#[test]
+fn a_mask_that_excludes_no_pixel_is_said() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let line = |at: usize| 0.5 + ((at % 64) as f32 * 0.3).sin() * 0.2 + (at / 64) as f32 * 0.01;
+    let image = Image { width: 64, height: 48, pixels: (0..64 * 48).map(line).collect() };
+    write_tiff_f32(folder.path().join("drr.tif").as_path(), std::slice::from_ref(&image)).expect("writes");
+    write_tiff_f32(folder.path().join("frame.tif").as_path(), &[image.map(|line| 1000.0 * (-line).exp())]).expect("writes");
+    for (drawn, said) in [(0.0f32, true), (1.0, false)] {
+        let mut mask = image.map(|_| 0.0);
+        *mask.at_mut(3, 2) = drawn;
+        write_tiff_f32(folder.path().join("mask.tif").as_path(), &[mask]).expect("writes");
+        let (frame, drr, mask, out) = (path("frame.tif"), path("drr.tif"), path("mask.tif"), path("out"));
+        let typed = [
+            "compare",
+            &frame,
+            &drr,
+            "--quantity",
+            "line_integral",
+            "--domain",
+            "linear",
+            "--air",
+            "1000",
+            "--offset",
+            "none",
+            "--mask",
+            &mask,
+            "--out",
+            &out,
+        ];
+        let reporter = Reporter::silent();
+        assert_eq!(run_compare(&TypedCompare::parse_from(typed).args, &reporter).expect("compares"), 0);
+        assert_eq!(reporter.warnings().contains_key("mask"), said, "{:?}", reporter.warnings());
+        let text = std::fs::read_to_string(folder.path().join("out/compare.json")).expect("written");
+        let flags = serde_json::from_str::<serde_json::Value>(&text).expect("JSON")["comparison"]["flags"].to_string();
+        assert_eq!(flags.contains("the mask excludes no pixel"), said, "{flags}");
+    }
+}
+
 /// A render that says that pixels are invalid is not compared without the mask that says which, and no frame with an air level that its
 /// own pixels contradict.
 #[test]

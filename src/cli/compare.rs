@@ -7,7 +7,7 @@ use glam::DVec3;
 
 pub use super::compare_error::CompareCommandError;
 use super::compare_origin::{Given, doubts, view_of};
-use super::compare_pictures::{described, mask_as_compared, read_flags, read_mask, read_simulated};
+use super::compare_pictures::{described, excludes_none, mask_as_compared, read_flags, read_mask, read_simulated};
 use super::compare_table::table;
 use super::read_aloud::frame_aloud;
 use super::scattered::{Asked, SCATTER_ERROR, scattered};
@@ -47,7 +47,7 @@ pub struct CompareArgs {
     /// Pose that was rendered, from `register`; gives mm and the places of the beads
     #[arg(long, value_name = "POSE.json")]
     pub pose: Option<PathBuf>,
-    /// What to leave out: an image whose non-zero pixels are excluded, drawn over ACQUIRED as it is stored, or of SIMULATED's size
+    /// What to leave out: an opaque image whose non-zero pixels are excluded, drawn over ACQUIRED as it is stored, or of SIMULATED's size
     #[arg(long, value_name = "M")]
     pub mask: Option<PathBuf>,
     /// What may be fitted between the two: none, gain, log_affine, monotone (display images only)
@@ -115,6 +115,10 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         return Err(CompareCommandError::NoValidity { path: beside(&args.simulated, "valid.png"), percent: 100.0 * share });
     }
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
+    let excludes_none = extra.as_ref().and_then(excludes_none);
+    for (path, words) in args.mask.iter().zip(excludes_none) {
+        reporter.warn("mask", format!("{}: {words}", path.display()));
+    }
     let extra = extra.map(|mask| mask_as_compared(mask, stored_px, unmirrored, console));
     let (extra, mask_moved) = extra.map_or((None, None), |(mask, moved)| (Some(mask), moved));
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
@@ -159,12 +163,13 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         reporter.warn("images disagree", format!("{}: {disagreement}", args.acquired.display()));
     }
     // What was warned of, which the table does not say again.
-    let warned: Vec<String> = doubts.iter().chain(&flood_doubt).cloned().collect();
+    let excludes_none = excludes_none.map(str::to_owned);
+    let warned: Vec<String> = doubts.iter().chain(&flood_doubt).chain(&excludes_none).cloned().collect();
     for doubt in doubts {
         reporter.warn("not what was rendered", &doubt);
         compared.comparison.flags.push(doubt);
     }
-    compared.comparison.flags.extend(frame.altered.iter().cloned().chain(flood_doubt).chain(mask_moved));
+    compared.comparison.flags.extend(frame.altered.iter().cloned().chain(flood_doubt).chain(mask_moved).chain(excludes_none));
     if frame.unmirrored {
         compared
             .comparison

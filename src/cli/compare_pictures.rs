@@ -7,6 +7,12 @@ use crate::foreign::read_small;
 use crate::geometry::ConsoleGeometry;
 use crate::image::{Image, beside, read_tiff_f32};
 
+/// Of a mask with transparent pixels: programs draw both what is left out and what is kept so.
+const TRANSPARENT: &str = "it is transparent in places, which says neither what is left out nor what is kept; flatten it: white where pixels are left \
+                           out, black elsewhere";
+/// Of a mask without a pixel that is not zero.
+const EXCLUDES_NONE: &str = "the mask excludes no pixel: what is not zero is left out, and all of it is zero";
+
 /// What `render` wrote about an image; null where there is nothing.
 pub(super) fn described(path: &Path) -> serde_json::Value {
     let bytes = read_small(&beside(path, "json")).ok();
@@ -53,7 +59,11 @@ pub(super) fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError>
             (found, _) => Err(CompareCommandError::Pages { path: path.to_owned(), found }),
         };
     }
-    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
+    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?;
+    if decoded.color().has_alpha() && decoded.to_luma_alpha16().pixels().any(|pixel| pixel.0[1] != u16::MAX) {
+        return Err(unreadable(TRANSPARENT.to_owned()));
+    }
+    let decoded = decoded.to_luma16();
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
     Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
@@ -80,6 +90,11 @@ pub(super) fn mask_as_compared(
     let words = "the mask was turned as the frame was: it is taken as drawn over the frame as it is stored";
     let moved = (compared != mask).then(|| words.to_owned());
     (compared, moved)
+}
+
+/// What to say of a mask that leaves everything in: somebody meant it to leave something out.
+pub(super) fn excludes_none(mask: &Image<bool>) -> Option<&'static str> {
+    (!mask.pixels.contains(&true)).then_some(EXCLUDES_NONE)
 }
 
 #[cfg(test)]
@@ -118,5 +133,26 @@ mod tests {
         // Of the simulated image's size.
         let (other, words) = mask_as_compared(drawn.clone(), [12, 8], true, Some(&about));
         assert!(other == drawn && words.is_none());
+    }
+
+    /// Only the colour was looked at: black strokes on a transparent ground left nothing out, and a transparent ground that was white left out all.
+    #[test]
+    fn a_mask_with_transparent_pixels_is_refused_and_an_opaque_one_is_read() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("mask.png");
+        let written = |alpha: u8| {
+            let mut drawn = image::RgbaImage::from_pixel(6, 4, image::Rgba([0, 0, 0, alpha]));
+            drawn.put_pixel(1, 0, image::Rgba([255, 255, 255, 255]));
+            drawn.save(&path).expect("writes");
+            read_mask(&path)
+        };
+        let mask = written(255).expect("opaque");
+        assert!(*mask.at(1, 0) && excludes_none(&mask).is_none());
+        assert_eq!(mask.pixels.iter().filter(|excluded| **excluded).count(), 1);
+        for alpha in [0, 254] {
+            let error = written(alpha).expect_err("transparent").to_string();
+            assert!(error.contains("mask.png") && error.contains("flatten it"), "{alpha}: {error}");
+        }
+        assert!(excludes_none(&Image::filled(6, 4, false)).is_some_and(|words| words.contains("excludes no pixel")));
     }
 }

@@ -21,7 +21,8 @@ use crate::reporter::Reporter;
   sidecarm register frame.dcm --tags tags.json --intrinsics K.json --out POSE.json
   sidecarm register ap.dcm lateral.dcm oblique.dcm --together --beads beads.mrk.json --intrinsics K.json --out POSES.json
 
-Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
+Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection); 3: with --together, accepted but for some views (said
+which, and why).")]
 pub struct RegisterArgs {
     /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF; with --together several of one specimen, in the order they were taken
     #[arg(required = true, value_name = "FRAME")]

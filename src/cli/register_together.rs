@@ -8,14 +8,17 @@ use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use crate::image::{check_writable, refuse_same_content};
 use crate::mask;
-use crate::pose::{BeadVerdict, SeveralViews, Together, ViewAlone, register_masked, register_together};
+use crate::pose::{BeadVerdict, Pose, SeveralViews, Together, ViewAlone, register_masked, register_together};
 use crate::reporter::Reporter;
 
 /// Standard deviation of a bead's place per axis where its description gives none, mm. A single frame trusts a layout more: it cannot
 /// see that a bead is elsewhere.
 const SIGMA_MM: f64 = 0.15;
 
-/// Registers each frame, solves all together, writes and prints. Returns the exit code: 0 accepted, 1 refused.
+/// Exit code of views that were solved together without some of them.
+const LOSS: u8 = 3;
+
+/// Registers each frame, solves all together, writes and prints. Returns the exit code: 0 accepted, 1 refused, 3 accepted without some of the views.
 ///
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
@@ -78,7 +81,16 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         print!("{}", summary(&together));
     }
     reporter.wrote(outputs.each.iter().chain([&outputs.all]));
-    Ok(u8::from(!together.is_accepted()))
+    Ok(code(&together))
+}
+
+/// The exit code; which views are refused stands in the summary, and in each of them.
+fn code(together: &Together) -> u8 {
+    match (together.is_accepted(), together.views.iter().all(Pose::is_accepted)) {
+        (false, _) => 1,
+        (true, true) => 0,
+        (true, false) => LOSS,
+    }
 }
 
 /// Where results go.

@@ -1,6 +1,7 @@
 //! When two images plainly do not show the same thing, whatever pose is right.
 
 use super::scores::Scores;
+use crate::image::{Image, block_means, quantile};
 
 /// Rank correlations below this run the other way.
 const INVERTED: f64 = -0.2;
@@ -8,6 +9,12 @@ const INVERTED: f64 = -0.2;
 const UNRELATED: f64 = 0.2;
 /// Nepers that scatter does not explain: four times the primary, as behind the thickest pelvis, is ln 5 = 1.6 there, and less on average.
 const GROSS_RMSE_NEPERS: f64 = 1.5;
+/// Open air reads more than a level that was measured without specimen by heel, gain and scatter, and hardly by more than this.
+const ABOVE_AIR: f64 = 1.3;
+/// Side of the blocks whose means are held against the level: noise of single pixels contradicts none.
+const BLOCK_PX: usize = 8;
+/// Less of the frame may be a reflection, or something that no mask has found.
+const ABOVE_AIR_SHARE: f64 = 0.005;
 
 /// A plain disagreement of the acquired frame with its simulation.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -30,6 +37,15 @@ pub enum Disagreement {
         /// Mean of acquired − simulated, without tone.
         bias_nepers: f64,
     },
+    /// Much of the frame is brighter than the air level that was declared.
+    AboveAir {
+        /// As declared, a stored value.
+        declared: f64,
+        /// Of the frame, where it is brighter.
+        share: f64,
+        /// How often the level such a place reads, in the middle of them.
+        times: f64,
+    },
 }
 
 impl std::fmt::Display for Disagreement {
@@ -49,6 +65,12 @@ impl std::fmt::Display for Disagreement {
                 "the images are {rmse_nepers:.2} nepers apart (mean {bias_nepers:+.2}, expected below {GROSS_RMSE_NEPERS}): air level, offset, beam \
                  or materials are not those of the frame"
             ),
+            Self::AboveAir { declared, share, times } => write!(
+                f,
+                "the air level {declared} is too low: {:.1} % of the frame reads {times:.2} times as much, and nothing in the beam gives at most \
+                 {ABOVE_AIR} times that by heel, gain and scatter; measure it without specimen, or leave it out",
+                100.0 * share
+            ),
         }
     }
 }
@@ -63,4 +85,16 @@ pub(super) fn disagreements(without_tone: &Scores) -> Vec<Disagreement> {
     let apart = without_tone.rmse_nepers.zip(without_tone.bias_nepers).filter(|(rmse, _)| !(*rmse <= GROSS_RMSE_NEPERS));
     let apart = apart.map(|(rmse_nepers, bias_nepers)| Disagreement::FarApart { rmse_nepers, bias_nepers });
     by_rank.into_iter().chain(apart).collect()
+}
+
+/// A declared air level, a stored value, that the frame contradicts by `nepers` far below 0 on more than a spot; `seen`: where the frame shows what
+/// passed through, pixels at the end of the scale as well.
+pub(super) fn above_air(declared: f64, nepers: &Image<f32>, seen: &Image<bool>) -> Option<Disagreement> {
+    let (means, kept) = block_means(nepers, seen, BLOCK_PX);
+    let within = means.pixels.iter().zip(&kept.pixels).filter(|(_, kept)| **kept).map(|(mean, _)| *mean);
+    let blocks = within.clone().count();
+    let mut above: Vec<f32> = within.filter(|mean| f64::from(*mean) < -ABOVE_AIR.ln()).collect();
+    let share = above.len() as f64 / blocks as f64;
+    let times = quantile(&mut above, 0.5).map(|middle| (-middle).exp())?;
+    (share >= ABOVE_AIR_SHARE).then_some(Disagreement::AboveAir { declared, share, times })
 }

@@ -190,7 +190,12 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
             "noise is {seen:.4} nepers, the detector calibration expects {expected:.4}: processed by the console, or another gain mode?"
         ));
     }
-    let disagreements = disagreement::disagreements(&scores_without_tone);
+    let mut disagreements = disagreement::disagreements(&scores_without_tone);
+    if let (AirLevel::Value(declared), CommonDomain::LineIntegral) = (input.air, common.domain) {
+        // What is at the end of the scale is at least as bright.
+        let seen = masks.usable(width, height, &[Cause::Saturation]);
+        disagreements.extend(disagreement::above_air(declared, &common.acquired, &seen));
+    }
     flags.extend(disagreements.iter().map(ToString::to_string));
     let unit = match common.domain {
         CommonDomain::LineIntegral => "nepers",

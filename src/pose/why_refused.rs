@@ -16,6 +16,8 @@ const PLAUSIBLE_SPAN_MM: (f64, f64) = (40.0, 1500.0);
 const METRES_BELOW_MM: f64 = 3.0;
 /// A picture of which more than this share is at the end of the scale shows no beads there.
 const SATURATED: f64 = 0.5;
+/// How the words begin that K is not that of the frame's own header.
+const K_SAYS: &str = "K says f ";
 
 impl Pose {
     /// Adds to the reason of a refusal what else is known that may be its cause; `focal_sigma_px`: with which K's focal length is stated.
@@ -38,6 +40,12 @@ impl Pose {
         }
         let besides = hiding.into_iter().chain(besides.into_iter().flatten());
         self.reason = Some(std::iter::once(refusal.to_string()).chain(besides).collect::<Vec<_>>().join("; "));
+    }
+
+    /// Whether it is refused, and K, as given, is not that of the frame's own header: that comes before whatever the refusal is about.
+    #[must_use]
+    pub fn is_refused_against_header(&self) -> bool {
+        !self.is_accepted() && self.reason.as_deref().is_some_and(|reason| reason.contains(K_SAYS))
     }
 
     /// That the beads lie nearer together, or farther apart, than on any specimen.
@@ -65,7 +73,7 @@ impl Pose {
         let px = given?.fx;
         let OtherFocal { header_px, own_pitch_mm, .. } = Focal { px, sigma_px, pitch_mm: self.pitch_mm }.other_by(frame)?;
         let pitch = if own_pitch_mm.is_some() { "K's own pitch" } else { "pitch" };
-        Some(format!("K says f {px:.0} px, the header's SID and {pitch} say {header_px:.0} px"))
+        Some(format!("{K_SAYS}{px:.0} px, the header's SID and {pitch} say {header_px:.0} px"))
     }
 }
 
@@ -126,6 +134,12 @@ mod tests {
         }
         let words = reason(160.0, 2500.0, 0.1, &none);
         assert!(words.ends_with("K says f 2500 px, the header's SID and pitch say 5000 px"), "{words}");
+        let against = |focal_px: f64| {
+            let mut pose = refused(160.0, focal_px, &none);
+            pose.hear_header(&frame(Some(0.2), 0.1), false, 0.0);
+            pose.is_refused_against_header()
+        };
+        assert!(against(2500.0) && against(10_000.0) && !against(5000.0));
         let few = few_shadows;
         let words = reason(160.0, 5000.0, 0.99, &few(None));
         assert!(words.contains("99 % of the frame is saturated") && !words.contains("raise the dose"), "{words}");

@@ -9,7 +9,7 @@ use super::import::{Import, Imported};
 use super::newest_files::{Found, newest_files};
 use super::posed::Posed;
 use super::posing::{Known, PoseJob};
-use super::remedy::of_refusal;
+use super::remedy::of_refused;
 use crate::acquire::{Domain, Frame};
 use crate::beads::BeadLayout;
 use crate::pose::Refusal;
@@ -101,7 +101,7 @@ fn of_pose(posed: &Posed) -> Finding {
         let reason = pose.reason.as_deref().unwrap_or("no reason given");
         let remedy = match &pose.refusal {
             Some(Refusal::Layout { .. }) => "see the other checks of the beads: every frame is refused for this",
-            refusal => refusal.as_ref().map_or("expose again", of_refusal),
+            _ => of_refused(pose).unwrap_or("expose again"),
         };
         return Finding::warn(POSE, format!("{name}: its beads give no pose without telemetry: {reason}"), remedy);
     }

@@ -1,11 +1,15 @@
 //! What the people at the C-arm can do about a frame whose pose is refused or doubted.
 
 use super::posed::Posed;
-use crate::pose::Refusal;
+use crate::pose::{Pose, Refusal};
 use crate::report::{Pair, Standing};
 
 /// Of a pose whose K nobody knows.
 pub(super) const K_REMEDY: &str = "give intrinsics in the session, or the C-arm's calibration";
+
+/// Of a pose that is refused with a K that the frame's own header contradicts.
+const HEADER_REMEDY: &str = "correct K, or the calibration that it is of: the reason says its focal length and what the header's distance and pitch \
+                             give; where one is a whole multiple of the other, K is of frames that are binned otherwise";
 
 /// In a sentence; `None` where nothing needs mending.
 pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
@@ -23,13 +27,21 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
         Standing::TelemetryDisagrees => {
             "check that the specimen has not moved and that the arm's joints read right, then expose again"
         }
-        _ => match &posed.pose.refusal {
-            Some(refusal) => of_refusal(refusal),
+        _ => match of_refused(&posed.pose) {
+            Some(words) => words,
             None if pair.binding == "none" => "check the C-arm's line: no exposure in its telemetry belongs to this frame",
             None => return None,
         },
     };
     Some(words.to_owned())
+}
+
+/// Of a refused pose, where to look first; `None` where nobody said why it is refused.
+pub(super) fn of_refused(pose: &Pose) -> Option<&'static str> {
+    if pose.is_refused_against_header() {
+        return Some(HEADER_REMEDY);
+    }
+    pose.refusal.as_ref().map(of_refusal)
 }
 
 /// The sentence of a refusal says what was found; this is where to look first.

@@ -156,23 +156,22 @@ pub(super) fn find(
 /// and rows to the neighbour and its correlation.
 fn common_to_lines(correlations: &[f64], shares: impl Fn(usize) -> bool) -> Result<Option<f64>, ([isize; 2], f64)> {
     let neighbours = neighbours();
-    if let Some(k) = (0..neighbours.len()).find(|&k| shares(k) && !(correlations[k].abs() <= SPREAD_MOST)) {
+    let strength = |k: &usize| correlations[*k].abs();
+    let stronger = |a: &usize, b: &usize| strength(a).total_cmp(&strength(b));
+    let strongest = (0..neighbours.len()).filter(|k| shares(*k)).max_by(stronger);
+    if let Some(k) = strongest.filter(|k| !(strength(k) <= SPREAD_MOST)) {
         return Err((neighbours[k], correlations[k]));
     }
     let reach = REACH_PX as isize;
-    let mut common = None;
-    for (near, far) in [([1, 0], [reach, 0]), ([0, 1], [0, reach])] {
-        let index = |apart_px: [isize; 2]| neighbours.iter().position(|neighbour| *neighbour == apart_px);
-        let (Some(near), Some(far)) = (index(near), index(far)) else { continue };
-        if shares(far) && correlations[far].abs() > SPREAD_SHARE * correlations[near].abs() {
-            let share = 2.0 * REACH_PX as f64 * correlations[far].abs();
-            if !(share <= LINES_MOST) {
-                return Err((neighbours[far], correlations[far]));
-            }
-            common = Some(common.unwrap_or(0.0) + share);
-        }
+    let index = |apart_px: [isize; 2]| neighbours.iter().position(|neighbour| *neighbour == apart_px);
+    let ends = [([1, 0], [reach, 0]), ([0, 1], [0, reach])].into_iter().filter_map(|(near, far)| index(near).zip(index(far)));
+    let lines: Vec<usize> =
+        ends.filter(|(near, far)| shares(*far) && strength(far) > SPREAD_SHARE * strength(near)).map(|(_, far)| far).collect();
+    let share = |far: &usize| 2.0 * REACH_PX as f64 * strength(far);
+    match lines.iter().copied().max_by(stronger) {
+        Some(far) if !(share(&far) <= LINES_MOST) => Err((neighbours[far], correlations[far])),
+        worst => Ok(worst.map(|_| lines.iter().map(share).sum())),
     }
-    Ok(common)
 }
 
 #[derive(Clone, Copy)]
@@ -315,7 +314,7 @@ mod tests {
         assert!(judged(&blurred(2.5, 0.0)).is_err(), "farther than the sum reaches");
         let weak = judged(&blurred(0.2, 0.01)).expect("little").expect("seen");
         assert!((weak - 0.06).abs() < 0.005, "{weak}");
-        assert_eq!(judged(&blurred(0.2, 0.3)).map_err(|(apart_px, _)| apart_px), Err([3, 0]));
+        assert_eq!(judged(&blurred(0.2, 0.3)).map_err(|(apart_px, _)| apart_px), Err([3, 0]), "along the rows");
         assert!(judged(&blurred(0.2, 1.027)).is_err_and(|(_, correlation)| correlation > 1.0));
     }
 }

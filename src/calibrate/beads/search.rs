@@ -33,8 +33,8 @@ const MOST_FITTED: usize = 1500;
 /// A given radius is contradicted when the beads' own differs by more than this share, and by so many of its σ.
 const CONTRADICTED: f64 = 0.15;
 const CONTRADICTED_SIGMAS: f64 = 3.0;
-/// So often each of a few candidates is fitted: fifteen profiles, four rounds, and the doubt.
-const FITS_EACH: usize = 22;
+/// So often each of a few candidates is fitted: eighteen profiles, four rounds, and the doubt.
+const FITS_EACH: usize = 28;
 /// Summits of one lump are beads only where the value between them falls below this share of the lower one's.
 const DIP: f64 = 0.8;
 
@@ -229,6 +229,7 @@ impl Rounds<'_> {
 
     /// Adds what doubt about the profile leaves to the covariances.
     fn doubt(&mut self, others: &[Trial], points: impl Fn(SliceProfile) -> VoxelPoints) {
+        let edges_mm = self.fitter.grid.lps_from_voxel.matrix3;
         let live = self.live();
         let trials: Vec<(f64, Vec<Option<Fitted>>)> =
             others.iter().map(|other| (other.weight, self.trial(&live, points(other.profile)))).collect();
@@ -236,7 +237,7 @@ impl Rounds<'_> {
             let of_bead: Vec<(f64, Fitted)> =
                 trials.iter().filter_map(|(weight, fits)| Some((*weight, fits[place].clone()?))).collect();
             if let Some(fitted) = &mut self.fits[at] {
-                doubt(fitted, &of_bead);
+                doubt(fitted, &of_bead, edges_mm);
             }
         }
     }

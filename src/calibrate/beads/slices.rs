@@ -1,36 +1,43 @@
 //! How the slices of a CT average along their normal, found from its beads. The files do not say; a bead of 1.5 mm in slices of 2 mm is
 //! seen in two or three of them, and where its centre is follows from their ratio, which is the profile's.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::fit::Fitted;
 use super::sphere::SliceProfile;
 use crate::geometry::VoxelGrid;
 
-/// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians.
-const PROFILES: [SliceProfile; 15] = [
+/// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians, and boxes that are
+/// sharper than the plane. Of equals the first counts.
+const PROFILES: [SliceProfile; 18] = [
     SliceProfile::BOX,
-    SliceProfile { width: 0.5, sigma: 0.0 },
-    SliceProfile { width: 1.5, sigma: 0.0 },
-    SliceProfile { width: 2.0, sigma: 0.0 },
-    SliceProfile { width: 1.0, sigma: 0.25 },
-    SliceProfile { width: 1.0, sigma: 0.4 },
-    SliceProfile { width: 1.5, sigma: 0.4 },
-    SliceProfile { width: 0.0, sigma: 0.2 },
-    SliceProfile { width: 0.0, sigma: 0.27 },
-    SliceProfile { width: 0.0, sigma: 0.34 },
-    SliceProfile { width: 0.0, sigma: 0.42 },
-    SliceProfile { width: 0.0, sigma: 0.5 },
-    SliceProfile { width: 0.0, sigma: 0.58 },
-    SliceProfile { width: 0.0, sigma: 0.66 },
-    SliceProfile { width: 0.0, sigma: 0.76 },
+    SliceProfile::smooth(0.5, 0.0),
+    SliceProfile::smooth(1.5, 0.0),
+    SliceProfile::smooth(2.0, 0.0),
+    SliceProfile::smooth(1.0, 0.25),
+    SliceProfile::smooth(1.0, 0.4),
+    SliceProfile::smooth(1.5, 0.4),
+    SliceProfile::smooth(0.0, 0.2),
+    SliceProfile::smooth(0.0, 0.27),
+    SliceProfile::smooth(0.0, 0.34),
+    SliceProfile::smooth(0.0, 0.42),
+    SliceProfile::smooth(0.0, 0.5),
+    SliceProfile::smooth(0.0, 0.58),
+    SliceProfile::smooth(0.0, 0.66),
+    SliceProfile::smooth(0.0, 0.76),
+    SliceProfile::sharp(1.0, 0.35),
+    SliceProfile::sharp(1.0, 0.45),
+    SliceProfile::sharp(1.5, 0.35),
 ];
 /// Standard deviation of a box as wide as the slices are apart: 1/√12.
 pub(super) const EXPECTED_SIGMA: f64 = 0.288_675_134_594_812_9;
 /// Beads that are asked, the ones that stand out most.
 pub(super) const ASKED: usize = 16;
-/// A profile whose misfit is larger than the best one's by this share counts e⁻¹: no profile of a scanner is exactly one of these.
-const DOUBT: f64 = 0.25;
+/// A profile whose misfit is larger than the best one's by this share counts e⁻¹: no profile of a scanner is exactly one of these, and
+/// what lies between two of them fits better than either.
+const DOUBT: f64 = 0.5;
+/// A bead of which the model misses more than the noise is placed no better than to this share of a voxel's edges.
+const UNLIKE: f64 = 0.008;
 /// Profiles that count less are left out.
 const LEAST_WEIGHT: f64 = 0.02;
 
@@ -77,17 +84,27 @@ pub(super) fn choose(fit: impl Fn(SliceProfile) -> Vec<Option<Fitted>>) -> Vec<T
     trials
 }
 
-/// Adds to the covariance of `fitted` what the doubt about the profile makes of its centre; `others` are its fits under other profiles,
-/// with how much these count beside its own.
-pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)]) {
+/// Adds to the covariance of `fitted` what the doubt about the profile makes of its centre, and to its radius's σ likewise; `others` are
+/// its fits under other profiles, with how much these count beside its own. Along the voxels' edges, the columns of `edges_mm`, comes
+/// what no profile explains.
+pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)], edges_mm: DMat3) {
     let total = 1.0 + others.iter().map(|(weight, _)| weight).sum::<f64>();
-    let centre = fitted.ball.centre_lps_mm;
-    for (weight, other) in others {
-        let away: DVec3 = other.ball.centre_lps_mm - centre;
+    let (centre, radius_mm) = (fitted.ball.centre_lps_mm, fitted.ball.radius_mm);
+    // Of the variance that the model misses, what is more than the noise.
+    let unexplained = (1.0 - fitted.missed_sigmas.powi(-2)).max(0.0);
+    let mut add = |share: f64, away: DVec3| {
         for (row, covariance) in fitted.covariance_mm2.iter_mut().enumerate() {
             for (column, value) in covariance.iter_mut().enumerate() {
-                *value += weight / total * away[row] * away[column];
+                *value += share * away[row] * away[column];
             }
         }
+    };
+    for (weight, other) in others {
+        add(weight / total, other.ball.centre_lps_mm - centre);
     }
+    for axis in 0..3 {
+        add(unexplained, UNLIKE * edges_mm.col(axis));
+    }
+    let of_radius = |(weight, other): &(f64, Fitted)| weight / total * (other.ball.radius_mm / radius_mm).ln().powi(2);
+    fitted.radius_sigma_ln = fitted.radius_sigma_ln.hypot(others.iter().map(of_radius).sum::<f64>().sqrt());
 }

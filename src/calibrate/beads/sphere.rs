@@ -54,13 +54,26 @@ pub(super) struct SliceProfile {
     pub width: f64,
     /// The Gaussian's σ.
     pub sigma: f64,
+    /// σ of the Gaussian by which a box is sharper along the slices' normal than the point spread is in their plane, mm: a kernel that
+    /// smooths does so in the plane alone.
+    pub sharper_mm: f64,
 }
 
 impl SliceProfile {
     /// Each slice is as thick as the slices are apart.
-    pub const BOX: Self = Self { width: 1.0, sigma: 0.0 };
+    pub const BOX: Self = Self::smooth(1.0, 0.0);
 
-    /// Standard deviation, in slice spacings.
+    /// Blurred along the normal as in the plane, or more.
+    pub const fn smooth(width: f64, sigma: f64) -> Self {
+        Self { width, sigma, sharper_mm: 0.0 }
+    }
+
+    /// A box that is blurred less along the normal than in the plane.
+    pub const fn sharp(width: f64, sharper_mm: f64) -> Self {
+        Self { width, sigma: 0.0, sharper_mm }
+    }
+
+    /// Standard deviation without the point spread, in slice spacings.
     pub fn deviation(self) -> f64 {
         (self.width * self.width / 12.0 + self.sigma * self.sigma).sqrt()
     }
@@ -69,7 +82,8 @@ impl SliceProfile {
     fn nodes(self, spacing_mm: f64) -> Vec<(f64, f64)> {
         if self.sigma == 0.0 {
             let nodes = gauss_legendre(node_count(self.width * spacing_mm));
-            return nodes.into_iter().map(|(x, weight)| (0.5 * self.width * x, 0.5 * weight)).collect();
+            let inside = nodes.into_iter().map(|(x, weight)| (0.5 * self.width * x, 0.5 * weight));
+            return inside.chain(self.steeper_ends(spacing_mm)).collect();
         }
         // Evenly spaced nodes integrate what is as smooth as a blurred ball: the step is below its σ.
         let half = 0.5 * self.width + 3.0 * self.sigma;
@@ -83,6 +97,32 @@ impl SliceProfile {
             (-count..=count).map(|n| half * f64::from(n) / f64::from(count)).map(|x| (x, density(x))).collect();
         let sum: f64 = nodes.iter().map(|(_, weight)| weight).sum();
         nodes.into_iter().map(|(x, weight)| (x, weight / sum)).collect()
+    }
+
+    /// Nodes beside a box's own that take a Gaussian of σ = s out of what it averages; their weights add up to 0.
+    ///
+    /// Without the Gaussian, f is f − s²/2 f″ + s⁴/8 f⁗ − …, so that its mean over a box of width w changes by
+    /// [−s²/2 f′ + s⁴/8 f‴]/w between the box's ends. The derivatives are differences: with Δₙ = f(x + nh) − f(x − nh),
+    ///   f′ = (8 Δ₁ − Δ₂)/12h,   f‴ = (Δ₂ − 2 Δ₁)/2h³.
+    fn steeper_ends(self, spacing_mm: f64) -> Vec<(f64, f64)> {
+        let (s, width_mm) = (self.sharper_mm, self.width * spacing_mm);
+        if s == 0.0 {
+            return Vec::new();
+        }
+        let step_mm = 0.7 * s;
+        let first = 0.5 * s * s / (width_mm * step_mm);
+        let third = s.powi(4) / (8.0 * width_mm * step_mm.powi(3));
+        let of_differences = [(1.0, -2.0 / 3.0 * first - third), (2.0, first / 12.0 + 0.5 * third)];
+        let mut nodes = Vec::new();
+        for end in [-1.0, 1.0] {
+            for (steps, weight) in of_differences {
+                for side in [-1.0, 1.0] {
+                    let at_mm = 0.5 * width_mm * end + side * steps * step_mm;
+                    nodes.push((at_mm / spacing_mm, end * side * weight));
+                }
+            }
+        }
+        nodes
     }
 }
 
@@ -203,6 +243,28 @@ mod tests {
         assert!((share(0.0, 3.0, 0.3).value - 1.0).abs() < 1e-6 && share(0.0, 3.0, 0.3).by_distance.abs() < 1e-6);
     }
 
+    /// Taken out of a Gaussian of σ = b, one of σ = s leaves √(b² − s²): as a ball of next to no radius shows, whose share is a Gaussian.
+    #[test]
+    fn a_sharp_slice_takes_the_blur_out_along_its_normal() {
+        let (blur, sharper, thick) = (0.45f64, 0.3f64, 1.4);
+        let left = (blur * blur - sharper * sharper).sqrt();
+        let cdf = |x: f64| 0.5 * (1.0 + error_function(x / left, (-0.5 * (x / left) * (x / left)).exp()));
+        let profile = SliceProfile::sharp(1.0, sharper);
+        let nodes = profile.nodes(thick);
+        assert!((nodes.iter().map(|(_, weight)| weight).sum::<f64>() - 1.0).abs() < 1e-12);
+        let mut apart: f64 = 0.0;
+        for n in 0..20 {
+            let z = 0.1 * f64::from(n);
+            let gauss = |x: f64| (-0.5 * (x / blur).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * blur);
+            let seen: f64 = nodes.iter().map(|(x, weight)| weight * gauss(z + x * thick)).sum();
+            let truth = (cdf(z + 0.5 * thick) - cdf(z - 0.5 * thick)) / thick;
+            assert!((seen - truth).abs() < 0.02, "{z} mm: {seen} {truth}");
+            let plain: f64 = SliceProfile::BOX.nodes(thick).iter().map(|(x, weight)| weight * gauss(z + x * thick)).sum();
+            apart = apart.max((plain - truth).abs());
+        }
+        assert!(apart > 0.03, "the box without it is another: {apart}");
+    }
+
     #[test]
     fn points_in_a_voxel_average_a_thick_slice() {
         let points = VoxelPoints::new(DMat3::from_diagonal(DVec3::new(0.7, 0.6, 2.5)), 2, SliceProfile::BOX);
@@ -218,6 +280,10 @@ mod tests {
         assert!((mean - sum).abs() < 2e-3 && mean > 0.05, "{mean} {sum}");
         let moved = points.mean_share(offset + DVec3::new(0.0, 0.0, 1e-3), 0.75, 0.4).0;
         assert!(((moved - mean) / 1e-3 - by_place.z).abs() < 1e-3);
+        let (near, far) = (DVec3::new(0.3, 0.2, 0.4), DVec3::new(0.3, 0.2, 1.7));
+        let sharp = VoxelPoints::new(DMat3::from_diagonal(DVec3::new(0.7, 0.6, 2.5)), 2, SliceProfile::sharp(1.0, 0.35));
+        assert!(sharp.mean_share(near, 0.75, 0.4).0 > points.mean_share(near, 0.75, 0.4).0 + 1e-3);
+        assert!(sharp.mean_share(far, 0.75, 0.4).0 < points.mean_share(far, 0.75, 0.4).0 - 1e-3);
         assert!((points.half_diagonal_mm - 0.5 * DVec3::new(0.7, 0.6, 2.5).length()).abs() < 1e-12);
     }
 }

@@ -17,10 +17,8 @@ pub struct JsonFault {
 /// # Errors
 /// Where it is no JSON, has another form, or goes on behind the value.
 pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, JsonFault> {
-    if bytes.starts_with("\u{feff}".as_bytes()) {
-        let detail = "a byte order mark stands before the JSON: save the file as UTF-8 without one".to_owned();
-        return Err(JsonFault { place: "the beginning".to_owned(), detail });
-    }
+    // Editors write it to mark UTF-8; it is no part of the text.
+    let bytes = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes);
     if !matches!(bytes.trim_ascii_start().first(), None | Some(b'{' | b'[' | b'"' | b'-' | b'0'..=b'9' | b't' | b'f' | b'n')) {
         let detail = "this is no JSON text; `sidecarm info FILE` says what the file is".to_owned();
         return Err(JsonFault { place: "the beginning".to_owned(), detail });
@@ -58,6 +56,8 @@ mod tests {
         let fault = |text: &str| parse_json::<Arm>(text.as_bytes()).expect_err("refused").to_string();
         let right = r#"{"joints": [{"orbital_deg": 1.0}, {"orbital_deg": 2.0}]}"#;
         assert_eq!(parse_json::<Arm>(right.as_bytes()).expect("the control").joints[1].orbital_deg, 2.0);
+        let marked = format!("\u{feff}{right}");
+        assert_eq!(parse_json::<Arm>(marked.as_bytes()).expect("a byte order mark is no fault").joints.len(), 2);
         for (text, place, words) in [
             (right.replace("2.0", "2.0, \"tilt\": 3"), "at joints[1]", "unknown field `tilt`"),
             (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
@@ -66,7 +66,6 @@ mod tests {
             ("{\"joints\": [],}".to_owned(), "at the top level: ", "trailing comma"),
             (right.replace("2.0", "2.0,"), "at joints[1]: ", "trailing comma"),
             (format!("{right} x"), "at the end: ", "trailing characters"),
-            (format!("\u{feff}{right}"), "at the beginning: ", "byte order mark"),
         ] {
             let said = fault(&text);
             assert!(said.starts_with(place) && said.contains(words), "{said}");

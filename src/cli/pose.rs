@@ -12,6 +12,7 @@ use crate::geometry::{AngleConvention, CameraError, PatientPosition, View};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
 use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Status, is_pitch};
 use crate::reporter::Reporter;
+use crate::table::unmarked;
 
 /// Poses as other tools write and read them.
 #[derive(Clone, Debug, clap::Args)]
@@ -280,10 +281,11 @@ fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera, V
     let path = &args.pose;
     let bytes = read_small(path).map_err(|source| ConvertError::Read { path: path.clone(), source })?;
     let text = String::from_utf8_lossy(&bytes);
+    let text = unmarked(&text);
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let found = match args.from {
         Some(target) => target,
-        None => match recognise(&text, &name) {
+        None => match recognise(text, &name) {
             Some(format) => Target::Foreign(format),
             None if text.trim_start().starts_with('{') => Target::Pose,
             None => return Err(ConvertError::Unrecognised { path: path.clone() }),
@@ -298,7 +300,7 @@ fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera, V
         }
         Target::Foreign(format) => {
             let axes = args.axes.unwrap_or(format.usual_axes());
-            read(format, &text, axes, known).map_err(|source| ConvertError::Format {
+            read(format, text, axes, known).map_err(|source| ConvertError::Format {
                 path: path.clone(),
                 format: format.name(),
                 source,

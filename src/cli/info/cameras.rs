@@ -6,12 +6,14 @@ use serde_json::json;
 
 use super::found::{Found, InfoError, object};
 use crate::geometry::formats::{self, Format, FormatError, Known};
+use crate::table::unmarked;
 
 /// Where a format leaves the panel to its reader: of a camera with this one, only the pose is that of the file.
 const ANY_PANEL: Known = Known { intrinsics: None, size_px: Some([1, 1]), pitch_mm: Some([1.0, 1.0]) };
 
 /// The camera that `text` is, by its content; `None` where it is none.
 pub(super) fn examine(path: &Path, text: &str) -> Result<Option<Found>, InfoError> {
+    let text = unmarked(text);
     let Some(format) = formats::recognise(text, "").map(|format| named(format, text)) else { return Ok(None) };
     let read = |known: &Known| formats::read(format, text, format.usual_axes(), known);
     let (camera, is_whole) = match read(&Known::default()) {

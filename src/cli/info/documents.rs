@@ -15,10 +15,11 @@ use crate::table::{cells_of, unmarked};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let text = regular::read_text(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
+    let text = unmarked(&text);
     if name.ends_with(".fcsv") {
-        return Ok(("markups", with_doubts(path, &text, fcsv(path, &text)?), Vec::new()));
+        return Ok(("markups", with_doubts(path, text, fcsv(path, text)?), Vec::new()));
     }
-    let json: Value = serde_json::from_str(&text).map_err(|error| InfoError::Damaged {
+    let json: Value = serde_json::from_str(text).map_err(|error| InfoError::Damaged {
         path: path.to_owned(),
         kind: "JSON file",
         detail: error.to_string(),
@@ -27,11 +28,11 @@ pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
         return Err(InfoError::Unknown { path: path.to_owned(), found: "JSON that is no object".into() });
     };
     // Before ours: one of theirs has the keys of our K, and more.
-    if let Some(camera) = cameras::examine(path, &text)? {
+    if let Some(camera) = cameras::examine(path, text)? {
         return Ok(camera);
     }
     match recognise(&map) {
-        Some("markups") => Ok(("markups", with_doubts(path, &text, markups(path, &map)?), Vec::new())),
+        Some("markups") => Ok(("markups", with_doubts(path, text, markups(path, &map)?), Vec::new())),
         Some(kind) => Ok((kind, facts(kind, &map), Vec::new())),
         None => {
             let keys = map.keys().take(8).cloned().collect::<Vec<_>>().join(", ");
@@ -141,7 +142,6 @@ fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, 
 }
 
 fn fcsv(path: &Path, text: &str) -> Result<Map<String, Value>, InfoError> {
-    let text = unmarked(text);
     let header = |key: &str| {
         text.lines().find_map(|line| {
             let (name, value) = line.strip_prefix('#')?.split_once('=')?;

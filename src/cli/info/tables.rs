@@ -13,18 +13,24 @@ const LONGEST_HEADER: u64 = 100 << 20;
 /// A text of a file's own that is longer is not shown.
 const LONGEST_TEXT: usize = 200;
 
-/// A table with a line of column names.
+/// A table with a line of column names; where the last name ends in three dots, rows go on with more of that column.
 pub(super) fn csv(path: &Path) -> Result<Found, InfoError> {
     let damaged = |detail: String| InfoError::Damaged { path: path.to_owned(), kind: "table", detail };
     let file = regular::open(path).map_err(|error| damaged(error.to_string()))?;
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(file);
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).flexible(true).from_reader(file);
     let columns: Vec<String> = reader.headers().map_err(|error| damaged(error.to_string()))?.iter().map(str::to_owned).collect();
     if columns.iter().all(|column| column.trim().is_empty()) {
         return Err(damaged("no column has a name".to_owned()));
     }
+    let goes_on = columns.last().is_some_and(|last| last.ends_with("..."));
     let mut rows = 0u64;
     for record in reader.records() {
-        record.map_err(|error| damaged(error.to_string()))?;
+        let record = record.map_err(|error| damaged(error.to_string()))?;
+        let (found, expected) = (record.len(), columns.len());
+        if found < expected || found > expected && !goes_on {
+            let line = record.position().map_or(0, csv::Position::line);
+            return Err(damaged(format!("line {line} has {found} cells, the line of names {expected}")));
+        }
         rows += 1;
     }
     Ok(("table", object(json!({"format": "CSV", "rows": rows, "columns": columns})), Vec::new()))

@@ -36,11 +36,14 @@ pub use format::{Format, PatientAxes, XregFrame};
 pub use recognise::recognise;
 pub use rtk::RtkParameters;
 
+use crate::table::unmarked;
+
 /// Reads a camera; what `text` does not say is taken from `known`.
 ///
 /// # Errors
 /// When the text is not of the format, holds unknown keys, wrong shapes, numbers that are not finite, or mirrors.
 pub fn read(format: Format, text: &str, axes: PatientAxes, known: &Known) -> Result<ExchangedCamera, FormatError> {
+    let text = unmarked(text);
     let mut camera = match format {
         Format::Matrix => matrix::read_projection(text)?,
         Format::Kr => matrix::read_kr(text)?,

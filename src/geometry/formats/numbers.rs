@@ -36,9 +36,15 @@ pub(super) fn finite(value: f64, what: &str) -> Result<f64, FormatError> {
     if value.is_finite() { Ok(value) } else { Err(FormatError::NotFinite { what: what.to_owned() }) }
 }
 
-/// Numbers apart from each other by blanks or commas.
+/// Numbers apart from each other by blanks, commas or semicolons; a semicolon may end them.
 pub(super) fn numbers(text: &str, what: &str) -> Result<Vec<f64>, FormatError> {
-    text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty()).map(|word| number(word, what)).collect()
+    let text = text.trim_end().trim_end_matches(';');
+    // Between semicolons a comma is a decimal one: that is no number here, and never two.
+    let comma_parts = !text.contains(';');
+    text.split(|c: char| c.is_whitespace() || c == ';' || comma_parts && c == ',')
+        .filter(|word| !word.is_empty())
+        .map(|word| number(word, what))
+        .collect()
 }
 
 /// Lines of numbers; what follows `#` is a comment.

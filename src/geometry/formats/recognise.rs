@@ -4,10 +4,12 @@ use serde_json::Value;
 
 use super::numbers::rows;
 use super::{Format, XregFrame};
+use crate::table::unmarked;
 
 /// The format of a text by its content; by its name's ending where the content alone does not tell.
 #[must_use]
 pub fn recognise(text: &str, name: &str) -> Option<Format> {
+    let text = unmarked(text);
     let head: String = text.chars().take(4096).collect();
     let name = name.to_lowercase();
     if head.trim_start().starts_with("#Insight Transform File") {

@@ -170,6 +170,35 @@ fn networks_that_come_with_the_program_are_known_and_a_cut_one_is_a_loss() {
     }
 }
 
+/// `info` called the spectra that come with the program damaged: their rows hold as many fluences as the tube voltage has bins.
+#[test]
+fn spectra_that_come_with_the_program_are_a_table() {
+    let spectra = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/spectra/tungsten.csv");
+    let info = examine(&spectra).expect("known");
+    assert_eq!((&info.facts["kind"], info.facts["columns"].as_array().map(Vec::len)), (&"table".into(), Some(5)));
+    let lines = std::fs::read_to_string(&spectra).expect("readable").lines().filter(|line| !line.starts_with('#')).count();
+    assert_eq!(info.facts["rows"].as_u64(), Some(lines as u64 - 1));
+    let folder = tempfile::tempdir().expect("folder");
+    let short = examine(&write(folder.path(), "short.csv", "kvp,fluence...\n40,1,2\n50\n")).expect_err("no fluence").to_string();
+    assert!(short.contains("line 3 has 1 cells, the line of names 2"), "{short}");
+}
+
+/// A byte order mark before the text is no part of it.
+#[test]
+fn a_byte_order_mark_hides_no_kind() {
+    let folder = tempfile::tempdir().expect("folder");
+    let cases = [
+        ("k.json", r#"{"intrinsics": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "size_px": [2, 2]}"#, "intrinsics"),
+        ("joints.csv", "shot,orbital_deg\na,1\n", "table"),
+        ("camera.txt", "1000 0 300 0\n0 1000 200 0\n0 0 1 500\n", "camera"),
+    ];
+    for (name, text, kind) in cases {
+        let info =
+            examine(&write(folder.path(), name, &format!("\u{feff}{text}"))).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(info.facts["kind"], kind, "{name}");
+    }
+}
+
 #[test]
 fn a_cut_log_gives_exit_code_3_and_a_frame_0() {
     let folder = tempfile::tempdir().expect("folder");

@@ -43,12 +43,14 @@ pub struct Phantom {
     pub blur_mm: f64,
     /// Where a ball is seen along a slice's normal, in slice spacings from its middle, all alike; a box where there are none.
     pub slice_profile: Vec<f64>,
+    /// σ of a Gaussian that blurs balls in the slices' plane on top, where `slice_profile` says how they are seen along the normal.
+    pub plane_blur_mm: f64,
 }
 
 impl Phantom {
     /// Tissue as `hu_at` has it at the voxels' centres (already blurred).
     pub fn new(size: [usize; 3], lps_from_voxel: DAffine3, blur_mm: f64, hu_at: impl Fn(DVec3) -> f64) -> Self {
-        let mut phantom = Self { size, lps_from_voxel, hu: Vec::new(), blur_mm, slice_profile: Vec::new() };
+        let mut phantom = Self { size, lps_from_voxel, hu: Vec::new(), blur_mm, slice_profile: Vec::new(), plane_blur_mm: 0.0 };
         phantom.hu = (0..size.iter().product()).map(|index| hu_at(phantom.place(index))).collect();
         phantom
     }
@@ -74,8 +76,16 @@ impl Phantom {
 
     /// Offsets in the plane of a slice, as `slice_profile` has them along its normal.
     fn seen_along_slices(&self) -> Vec<DVec3> {
-        let along = |n: usize| (n as f64 + 0.5) / 4.0 - 0.5;
-        let plane = (0..16).map(|n| DVec3::new(along(n % 4), along(n / 4), 0.0));
+        // Middles of seven equal parts of a Gaussian, spread to its variance.
+        const SEVENTHS: [f64; 7] = [-1.608, -0.8685, -0.4017, 0.0, 0.4017, 0.8685, 1.608];
+        let blurs: &[f64] = if self.plane_blur_mm > 0.0 { &SEVENTHS } else { &[0.0] };
+        let [across, down] = [0, 1].map(|axis| {
+            let side_mm = self.lps_from_voxel.matrix3.col(axis).length();
+            let along = |n: usize| (n as f64 + 0.5) / 4.0 - 0.5;
+            let blurred = |n: usize| blurs.iter().map(move |z| along(n) + z * self.plane_blur_mm / side_mm);
+            (0..4).flat_map(blurred).collect::<Vec<f64>>()
+        });
+        let plane = down.iter().flat_map(|y| across.iter().map(move |x| DVec3::new(*x, *y, 0.0)));
         plane
             .flat_map(|offset| self.slice_profile.iter().map(move |z| offset.with_z(*z)))
             .map(|offset| self.lps_from_voxel.matrix3 * offset)
@@ -104,7 +114,9 @@ impl Phantom {
         };
         let inside = if self.slice_profile.is_empty() { self.inside(5) } else { self.seen_along_slices() };
         let longest = self.slice_profile.iter().fold(1.0f64, |most, z| most.max(2.0 * z.abs()));
-        let far = reach + longest * self.lps_from_voxel.matrix3.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+        let far = reach
+            + 2.5 * self.plane_blur_mm
+            + longest * self.lps_from_voxel.matrix3.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         for index in 0..self.hu.len() {
             let away = self.place(index) - centre;
             if away.length_squared() < far * far {

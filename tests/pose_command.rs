@@ -137,6 +137,41 @@ fn what_cannot_be_converted_is_said_in_one_sentence() {
     assert!(String::from_utf8_lossy(&usage.stderr).contains("expected one of pose, matrix"));
 }
 
+/// As other systems' editors and tables write it: text with a byte order mark was of no format, or had an unknown key; so had semicolons.
+#[test]
+fn a_byte_order_mark_and_semicolons_are_read() {
+    let (folder, pose) = folder();
+    let read = |text: &str, what: &str| {
+        std::fs::write(folder.path().join("marked"), text).expect("written");
+        let back = convert(folder.path(), &["marked", "--to", "pose", "--intrinsics", "K.json", "--out", "back.json"]);
+        assert_eq!(back.status.code(), Some(0), "{what}: {back:?}");
+        let found: Value =
+            serde_json::from_slice(&std::fs::read(folder.path().join("back.json")).expect("written")).expect("JSON");
+        let off = off(&rows(&found), &rows(&pose));
+        assert!(off <= 1e-9, "{what}: {off:.1e}");
+    };
+    let mut seen = 0;
+    for format in ["matrix", "kr", "kr-json", "opencv", "rtk", "deepdrr", "xreg", "slicer"] {
+        let out = convert(folder.path(), &["POSE.json", "--to", format]);
+        let text = String::from_utf8(out.stdout).expect("text");
+        read(&format!("\u{feff}{text}"), format);
+        if matches!(format, "matrix" | "kr") {
+            let numbers = |line: &str| if line.starts_with('#') { line.to_owned() } else { line.replace(' ', ";") };
+            let lines = |end: &str| text.lines().map(|line| numbers(line) + end).collect::<Vec<_>>().join("\r\n");
+            read(&lines(""), "semicolons");
+            read(&lines(";"), "semicolons at the ends");
+        }
+        seen += 1;
+    }
+    assert_eq!(seen, 8);
+    let pose_text = std::fs::read_to_string(folder.path().join("POSE.json")).expect("there");
+    std::fs::write(folder.path().join("marked.json"), format!("\u{feff}{pose_text}")).expect("written");
+    assert_eq!(convert(folder.path(), &["marked.json", "--to", "matrix"]).status.code(), Some(0));
+    // Decimal commas between semicolons are no two numbers each.
+    std::fs::write(folder.path().join("comma.txt"), "1,5;2\n1,5;2\n".repeat(2)).expect("written");
+    assert!(complaint(&convert(folder.path(), &["comma.txt", "--from", "matrix", "--to", "pose"])).contains("1,5"));
+}
+
 #[test]
 fn a_pose_without_k_takes_it_from_the_option() {
     let (folder, pose) = folder();

@@ -227,10 +227,9 @@ impl Rounds<'_> {
         contradicted.then_some((*given_mm, Prior { expected: fitted.ball.radius_mm, sigma_ln }))
     }
 
-    /// Centres and covariances with what doubt about the profile leaves.
+    /// Adds what doubt about the profile leaves to the covariances.
     fn doubt(&mut self, others: &[Trial], points: impl Fn(SliceProfile) -> VoxelPoints) {
-        let grid = self.fitter.grid;
-        let slice_mm = grid.lps_from_voxel.matrix3.col(slice_axis(grid));
+        let edges_mm = self.fitter.grid.lps_from_voxel.matrix3;
         let live = self.live();
         let trials: Vec<(f64, Vec<Option<Fitted>>)> =
             others.iter().map(|other| (other.weight, self.trial(&live, points(other.profile)))).collect();
@@ -238,7 +237,7 @@ impl Rounds<'_> {
             let of_bead: Vec<(f64, Fitted)> =
                 trials.iter().filter_map(|(weight, fits)| Some((*weight, fits[place].clone()?))).collect();
             if let Some(fitted) = &mut self.fits[at] {
-                doubt(fitted, &of_bead, slice_mm);
+                doubt(fitted, &of_bead, edges_mm);
             }
         }
     }

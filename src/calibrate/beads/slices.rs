@@ -1,7 +1,7 @@
 //! How the slices of a CT average along their normal, found from its beads. The files do not say; a bead of 1.5 mm in slices of 2 mm is
 //! seen in two or three of them, and where its centre is follows from their ratio, which is the profile's.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::fit::Fitted;
 use super::sphere::SliceProfile;
@@ -36,8 +36,8 @@ pub(super) const ASKED: usize = 16;
 /// A profile whose misfit is larger than the best one's by this share counts e⁻¹: no profile of a scanner is exactly one of these, and
 /// what lies between two of them fits better than either.
 const DOUBT: f64 = 0.5;
-/// What the nearest of them leaves of a centre's place, of a slice's thickness, at least.
-const BETWEEN_PROFILES: f64 = 0.005;
+/// A bead of which the model misses more than the noise is placed no better than to this share of a voxel's edges.
+const UNLIKE: f64 = 0.008;
 /// Profiles that count less are left out.
 const LEAST_WEIGHT: f64 = 0.02;
 
@@ -84,15 +84,14 @@ pub(super) fn choose(fit: impl Fn(SliceProfile) -> Vec<Option<Fitted>>) -> Vec<T
     trials
 }
 
-/// Moves the centre of `fitted` to its mean over the profiles, and adds to its covariance what the doubt about them makes of it, to the
-/// radius's σ likewise; `others` are its fits under other profiles, with how much these count beside its own. `slice_mm` leads from slice
-/// to slice.
-pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)], slice_mm: DVec3) {
+/// Adds to the covariance of `fitted` what the doubt about the profile makes of its centre, and to its radius's σ likewise; `others` are
+/// its fits under other profiles, with how much these count beside its own. Along the voxels' edges, the columns of `edges_mm`, comes
+/// what no profile explains.
+pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)], edges_mm: DMat3) {
     let total = 1.0 + others.iter().map(|(weight, _)| weight).sum::<f64>();
     let (centre, radius_mm) = (fitted.ball.centre_lps_mm, fitted.ball.radius_mm);
-    let moved: Vec<(f64, DVec3)> =
-        others.iter().map(|(weight, other)| (weight / total, other.ball.centre_lps_mm - centre)).collect();
-    let mean: DVec3 = moved.iter().map(|(share, away)| *share * *away).sum();
+    // Of the variance that the model misses, what is more than the noise.
+    let unexplained = (1.0 - fitted.missed_sigmas.powi(-2)).max(0.0);
     let mut add = |share: f64, away: DVec3| {
         for (row, covariance) in fitted.covariance_mm2.iter_mut().enumerate() {
             for (column, value) in covariance.iter_mut().enumerate() {
@@ -100,11 +99,12 @@ pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)], slice_mm: DVe
             }
         }
     };
-    add(1.0 / total, -mean);
-    moved.iter().for_each(|(share, away)| add(*share, *away - mean));
-    add(1.0, BETWEEN_PROFILES * slice_mm);
-    fitted.ball.centre_lps_mm = centre + mean;
-    let of_radius: f64 =
-        others.iter().map(|(weight, other)| weight / total * (other.ball.radius_mm / radius_mm).ln().powi(2)).sum();
-    fitted.radius_sigma_ln = fitted.radius_sigma_ln.hypot(of_radius.sqrt());
+    for (weight, other) in others {
+        add(weight / total, other.ball.centre_lps_mm - centre);
+    }
+    for axis in 0..3 {
+        add(unexplained, UNLIKE * edges_mm.col(axis));
+    }
+    let of_radius = |(weight, other): &(f64, Fitted)| weight / total * (other.ball.radius_mm / radius_mm).ln().powi(2);
+    fitted.radius_sigma_ln = fitted.radius_sigma_ln.hypot(others.iter().map(of_radius).sum::<f64>().sqrt());
 }

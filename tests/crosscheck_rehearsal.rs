@@ -99,7 +99,7 @@ fn k_of_twice_the_headers_focal_length_is_said_with_both_and_is_what_to_correct(
     let (_, level, words) = row(&rows, "newest frame's pose");
     assert!(level == "pass" && !words.contains("K says"), "the control: {words}");
     edit(&lab.kit, "k.json", |k| {
-        for axis in [0, 1] {
+        for axis in [0usize, 1] {
             k["intrinsics"][axis][axis] = value!(2.0 * k["intrinsics"][axis][axis].as_f64().expect("a number"));
         }
     });

@@ -288,6 +288,8 @@ fn labels_go_by_name_and_the_nearest_is_offered() {
         json!({"labels": "own.nii", "map": {"rib_left_1": "bone_cortical", "1": "lung"}}),
         json!({"labels": "own.nii", "map": "totalsegmentator"}),
         json!({"labels": "own.nii", "preset": "totalsegmentator", "map": {"lung_left": "lung"}}),
+        // As a log has it that was given away.
+        json!({"labels": "own.nii", "map": {(scene::hidden_label(0, "rib_left_1")): "bone_cortical", "1": "lung"}}),
     ];
     for materials in &named {
         let scene = load(folder.path(), &ct(materials.clone())).0.expect("good");

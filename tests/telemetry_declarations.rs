@@ -103,7 +103,7 @@ fn a_declaration_comes_back_from_a_log_as_it_was() {
         let back: LineAdapter = serde_json::from_str(&text).expect("is one");
         assert_eq!(back, declared, "{name}");
         assert_eq!(serde_json::to_string(&back).expect("serialises"), text);
-        assert_eq!(declared.with_origin("removed").declaration().origin, "removed");
+        assert_eq!(declared.nameless("removed").declaration().origin, "removed");
     }
 }
 
@@ -134,6 +134,39 @@ fn words_that_no_sample_rests_on_are_taken_out_and_the_sample_is_the_same() {
     let mut blanker = LineBlanker::new(&adapter(&declaration));
     let mut blanked = |line: &str| String::from_utf8(blanker.blanked(line.as_bytes())).expect("text");
     assert_eq!([blanked("a,surgeon,b,c,d,e"), blanked("11,Quaxwelk,2,3,4,5")], ["a,aaaaaaa,b,c,d,e", "11,aaaaaaaa,2,3,4,5"]);
+}
+
+/// A log that was given away kept the words of lines to be ignored, in the declaration and in the lines, and what its groups and columns were called.
+#[test]
+fn a_nameless_declaration_reads_blanked_lines_as_before() {
+    let mut pattern = shipped("generic-carm-regex.json");
+    let named = pattern["format"]["regex"]["pattern"].as_str().expect("text").replace("<orb>", "<Quaxwelk52x>");
+    pattern["format"]["regex"]["pattern"] = json!(named);
+    pattern["carm"]["orbital"]["from"] = json!("Quaxwelk52x");
+    pattern["ignore"] = json!(["Quaxwelk51 .*", "-+"]);
+    let mut columns = clocked();
+    columns["format"]["csv"]["columns"] = json!(["t", "n", "Quaxwelk", "who", "who", "b", "c", "d", "e"]);
+    columns["robot"]["sensed_angles"][0]["from"] = json!("Quaxwelk");
+    columns["ignore"] = json!(["Quaxwelk51 .*"]);
+    let of_pattern = "Quaxwelk51 is up\nt=1000 orb=120.25 ang=1 lift=12cm sid=40in kV=74 x=ON exp=1\n---\nno sample of Quaxwelk\n\
+                      t=2000 orb=121 ang=2 lift=12cm sid=40in kV=74 x=OFF exp=-\n";
+    let of_columns = "1500,42,1,Quaxwelk,x,2,3,4,5\nQuaxwelk51 ü\n1600,43,2,x,Quaxwelk,2,3,4,5\nno sample of Quaxwelk\n";
+    for (declaration, text) in [(pattern, of_pattern), (columns, of_columns)] {
+        let declared = adapter(&declaration);
+        let mut blanker = LineBlanker::new(&declared);
+        let blanked: Vec<String> =
+            text.lines().map(|line| String::from_utf8(blanker.blanked(line.as_bytes())).expect("text") + "\n").collect();
+        let (given, blanked) = (serde_json::to_value(declared.nameless("removed")).expect("serialises"), blanked.concat());
+        assert!(blanked.len() == text.len() && !format!("{given}{blanked}").contains("Quaxwelk"), "{given} {blanked}");
+        let heard = |declaration: &Value, text: &str| {
+            let heard = Heard::of(declaration, text.as_bytes());
+            assert_eq!((heard.health().frames, heard.health().corrupt), (2, 1), "{:?}", heard.faults);
+            format!("{:?} {:?} {:?}", heard.carms(), heard.robots(), heard.health())
+        };
+        assert_eq!(heard(&declaration, text), heard(&given, &blanked));
+        // Once more there is nothing to take out.
+        assert_eq!(adapter(&given).nameless("removed"), adapter(&given));
+    }
 }
 
 /// What `docs/robot-lines.md` says of its examples.

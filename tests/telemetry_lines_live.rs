@@ -198,6 +198,8 @@ fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
     assert_eq!(redacted.code, Some(0), "{}", redacted.stderr);
     let entries = read_log(&given).expect("a log").entries;
     assert!(!holds(&raw_bytes(&entries), CANARY) && self::robots(&entries) == robots);
+    assert!(!naming(&log.entries, "surgeon").is_empty(), "the control: a column is called so");
+    assert_eq!(naming(&entries, "surgeon"), [""; 0]);
     let (_, found) = replay(&given, &lab.kit, &folder.path().join("given"));
     assert_eq!(count(&found, "poses_identical"), poses.len() as u64, "{found:#}");
     assert_eq!(count(&found, "samples_different"), 0, "{found:#}");

@@ -3,8 +3,42 @@
 use std::collections::BTreeMap;
 
 use super::object_file::PresetFile;
+use crate::image::sha256_bytes;
 use crate::spelling::nearest;
 use crate::table::{cells_of, unmarked};
+
+/// How what stands for the name of a label begins.
+const HIDDEN: &str = "label-";
+/// Of the hash of a name.
+const HASH_DIGITS: usize = 16;
+
+/// What stands for the name of a label that is not to be told, the `rank`th of its scene in their order: whoever has the label volume finds
+/// the label by it, and a map's materials keep their order.
+#[must_use]
+pub fn hidden_label(rank: usize, name: &str) -> String {
+    format!("{HIDDEN}{rank:04}-{}", hash_of(name))
+}
+
+/// Whether `text` is what [`hidden_label`] makes of some name.
+#[must_use]
+pub fn is_hidden_label(text: &str) -> bool {
+    hidden_hash(text).is_some()
+}
+
+fn hidden_hash(text: &str) -> Option<&str> {
+    let (rank, hash) = text.strip_prefix(HIDDEN)?.split_once('-')?;
+    let is_one = rank.bytes().all(|byte| byte.is_ascii_digit())
+        && hash.len() == HASH_DIGITS
+        && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_one.then_some(hash)
+}
+
+/// The same however it is written where labels are looked up.
+fn hash_of(name: &str) -> String {
+    let mut hash = sha256_bytes(name.trim().to_ascii_lowercase().as_bytes());
+    hash.truncate(HASH_DIGITS);
+    hash
+}
 
 /// Numbers and names of labels.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,7 +90,7 @@ impl LabelNames {
         self.names.iter().map(|(number, name)| (*number, name.as_str()))
     }
 
-    /// The number of the label that `text` names, or is.
+    /// The number of the label that `text` names, or is, or stands for ([`hidden_label`]).
     ///
     /// # Errors
     /// What was expected instead, with the nearest name.
@@ -65,7 +99,9 @@ impl LabelNames {
         if let Ok(number) = text.parse() {
             return Ok(number);
         }
-        let mut named = self.iter().filter(|(_, name)| name.eq_ignore_ascii_case(text));
+        let hash = hidden_hash(text);
+        let is_meant = |name: &str| name.eq_ignore_ascii_case(text) || hash.is_some_and(|hash| hash_of(name) == hash);
+        let mut named = self.iter().filter(|&(_, name)| is_meant(name));
         match (named.next(), named.next()) {
             (Some((number, _)), None) => Ok(number),
             (Some((first, _)), Some((second, _))) => Err(format!("its number: both {first} and {second} are called so")),
@@ -111,6 +147,24 @@ mod tests {
         assert!(LabelNames::new("seg.nii.gz", Vec::new()).number("femur_left").expect_err("no names").contains("seg.nii.gz"));
         let twice = LabelNames::new("seg.nii.gz", vec![(1, "rib".into()), (2, "rib".into())]);
         assert!(twice.number("rib").expect_err("twice").contains("1 and 2"));
+    }
+
+    /// A log that was given away named the structures of its label map.
+    #[test]
+    fn a_label_is_found_by_what_stands_for_its_name_and_no_other_is() {
+        let found = names();
+        let hidden = hidden_label(3, " HIP_left ");
+        assert!(
+            hidden.starts_with("label-0003-") && !hidden.to_lowercase().contains("hip") && is_hidden_label(&hidden),
+            "{hidden}"
+        );
+        assert_eq!((found.number(&hidden), found.number(&hidden_label(7, "hip_left"))), (Ok(77), Ok(77)));
+        assert!(found.number(&hidden_label(3, "hip_right")).is_err());
+        for name in ["label-3", "label-0003-hip_left", "label-0003-", "hip_left"] {
+            assert!(!is_hidden_label(name), "{name}");
+        }
+        let twice = LabelNames::new("seg.nii.gz", vec![(1, "rib".into()), (2, "Rib".into())]);
+        assert!(twice.number(&hidden_label(0, "rib")).expect_err("twice").contains("1 and 2"));
     }
 
     /// Quotes were cut off after the line had been split: a name with a comma was the part before it.

@@ -40,6 +40,7 @@ pub use files::{FILE_KEYS, built_in};
 pub use fill::fill_harmonic;
 pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
+pub use label_names::{hidden_label, is_hidden_label};
 pub use load::{input_files, load, load_labelled, load_text, load_text_with};
 pub use mesh::{mesh_unit_doubt, read_closed_triangles};
 pub use model::{InputFile, Robot, Scene};

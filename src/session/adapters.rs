@@ -65,11 +65,11 @@ impl Adapters {
         DeviceKind::ALL.into_iter().filter_map(|device| self.of(device)).flat_map(LineAdapter::unknowns).collect()
     }
 
-    /// The same with other origins.
+    /// The same without words of those who wrote them ([`LineAdapter::nameless`]).
     #[must_use]
-    pub fn with_origin(&self, origin: &str) -> Self {
-        let with = |adapter: &Option<LineAdapter>| adapter.as_ref().map(|adapter| adapter.with_origin(origin));
-        Self { carm: with(&self.carm), robot: with(&self.robot) }
+    pub fn nameless(&self, origin: &str) -> Self {
+        let nameless = |adapter: &Option<LineAdapter>| adapter.as_ref().map(|adapter| adapter.nameless(origin));
+        Self { carm: nameless(&self.carm), robot: nameless(&self.robot) }
     }
 }
 

@@ -6,12 +6,14 @@ use super::outcome::{counted, say};
 use crate::reporter::Reporter;
 use crate::session::logbook::{LogbookError, RedactOptions, redact};
 
-/// Make a log that can be given away: it replays to the same poses, and tells no names, paths, serial numbers or free text.
+/// Make a log that can be given away: it replays to the same poses, and tells no names, paths, serial numbers or free text beyond what that needs.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm log redact run-1/session.mcap --out for-the-vendor.mcap\n\n\
-    Taken out: labels of frames, names of files and ports, names of beads, bodies and landmarks that may be of persons, origins of calibrations, \
-    told events, persons' notes, sentences about pairs, headers' tags besides physics and time, serial numbers, firmware and other words in the devices' \
-    bytes, and topics that are not known here. What stays: times, numbers, units, hashes of files, and whatever is burned into the pixels \
+    Taken out: labels of frames, names of files and ports, names of beads, bodies, landmarks and labels of a label map that may be of persons, origins \
+    of calibrations, what a line adapter ignores and calls its groups and columns, told events, persons' notes, sentences about pairs, headers' tags \
+    besides physics and time, serial numbers, firmware and other words in the devices' bytes, and topics that are not known here. What stays: times, \
+    numbers, units, hashes of files and of names of labels (whoever guesses a name can check it), the words by which a line adapter reads its lines (a \
+    pattern's own text, columns that a header names, keys of JSON, words of flags, how comments begin), and whatever is burned into the pixels \
     (--no-pixels leaves out frames and DRRs; then nothing is posed anew, and a replay says so). The CT and the tools are not in a log.")]
 pub struct RedactArgs {
     /// The log.

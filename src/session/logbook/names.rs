@@ -1,14 +1,15 @@
 //! The names in a log that may be those of persons or places, and what stands for each: the same in every message, so that a replay of the
 //! redacted log still agrees with it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::super::file::{NO_INTENSIFIER, Setup};
 use crate::acquire::{hashed_input_label, input_label};
 use crate::beads::{Bead, BeadLayout, DEFAULT_BODY, parse_landmarks, parse_markups};
+use crate::scene::{hidden_label, is_hidden_label};
 use crate::telemetry::PortAddress;
 
 /// What stands in place of free text.
@@ -18,6 +19,8 @@ const REMOVED: &str = "removed";
 #[derive(Debug, Default)]
 pub(super) struct Names {
     instead: BTreeMap<String, String>,
+    /// Of labels of the scene's label maps, and nowhere else: the label volume, which is not in the log, knows them by no other name.
+    labels: BTreeMap<String, String>,
     /// Notes of the bead layout, which are gone with its file.
     layout_notes: Vec<String>,
 }
@@ -33,7 +36,7 @@ fn is_harmless(name: &str) -> bool {
 }
 
 impl Names {
-    /// Of a logged session: files, beads, landmarks, and the bodies that they are of.
+    /// Of a logged session: files, beads, landmarks, the bodies that they are of, and the labels of which the scene makes bodies and materials.
     pub(super) fn of(setup: &Setup) -> Self {
         let mut names = Self::default();
         for input in setup.inputs.iter().skip(1).filter(|input| input.bytes > 0) {
@@ -50,6 +53,7 @@ impl Names {
         bodies_of(&scene, &mut bodies);
         names.hide("body", bodies.iter().map(String::as_str));
         names.hide("landmark", setup.landmark_points().iter().map(|landmark| landmark.name.as_str()));
+        names.hide_labels(&scene);
         names.layout_notes = layout.map(|layout| layout.notes).unwrap_or_default();
         names
     }
@@ -61,9 +65,24 @@ impl Names {
         }
     }
 
+    /// All or none of them: what is replaced keeps its place among the others, on which the order of a scene's materials rests.
+    fn hide_labels(&mut self, scene: &Value) {
+        let mut found = BTreeSet::new();
+        labels_of(scene, &mut found);
+        if found.iter().any(|name| !is_harmless(name) && !is_hidden_label(name)) {
+            let hidden = found.iter().enumerate().map(|(rank, name)| hidden_label(rank, name)).collect::<Vec<_>>();
+            self.labels = found.into_iter().zip(hidden).collect();
+        }
+    }
+
     /// Names that are replaced.
     pub(super) fn count(&self) -> usize {
-        self.instead.len()
+        self.instead.len() + self.labels.len()
+    }
+
+    /// A label of a label map, whose number stays.
+    fn label(&self, text: &str) -> String {
+        self.labels.get(text).cloned().unwrap_or_else(|| text.to_owned())
     }
 
     /// A text with other names in it.
@@ -121,7 +140,7 @@ impl Names {
         (session.scene, kept.scene_path) = ("scene.json".into(), "scene.json".into());
         kept.carm.iter_mut().for_each(|carm| REMOVED.clone_into(&mut carm.origin));
         kept.robot.iter_mut().for_each(|robot| REMOVED.clone_into(&mut robot.origin));
-        kept.adapters = kept.adapters.with_origin(REMOVED);
+        kept.adapters = kept.adapters.nameless(REMOVED);
         if let Some(detector) = &mut kept.detector {
             let record = &mut detector.record;
             REMOVED.clone_into(&mut record.origin);
@@ -166,31 +185,41 @@ impl Names {
         markups(beads.chain(layout.checks.iter().map(|bead| point(bead, " role=check"))))
     }
 
-    /// Names of bodies are also keys.
+    /// Names of bodies and labels are also keys.
     fn scene(&self, text: &str) -> String {
         let Ok(mut scene) = serde_json::from_str::<Value>(text) else { return "{}".to_owned() };
-        self.reword(&mut scene);
-        self.rename_bodies(&mut scene);
+        self.reword_scene(&mut scene);
         format!("{scene:#}")
     }
 
-    fn rename_bodies(&self, value: &mut Value) {
+    fn reword_scene(&self, value: &mut Value) {
         match value {
-            Value::Array(values) => values.iter_mut().for_each(|value| self.rename_bodies(value)),
+            Value::String(text) => *text = self.word(text),
+            Value::Array(values) => values.iter_mut().for_each(|value| self.reword_scene(value)),
             Value::Object(fields) => {
                 for (key, value) in fields {
                     match value {
+                        // What a label is made of is no name.
+                        Value::Object(labels) if key == "map" => rename_keys(labels, |name| self.label(name)),
                         Value::Object(bodies) if key == "bodies" => {
-                            *bodies =
-                                std::mem::take(bodies).into_iter().map(|(name, labels)| (self.word(&name), labels)).collect();
+                            rename_keys(bodies, |name| self.word(name));
+                            for label in bodies.values_mut().filter_map(Value::as_array_mut).flatten() {
+                                if let Value::String(name) = label {
+                                    *name = self.label(name);
+                                }
+                            }
                         }
-                        other => self.rename_bodies(other),
+                        other => self.reword_scene(other),
                     }
                 }
             }
-            Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+            Value::Null | Value::Bool(_) | Value::Number(_) => {}
         }
     }
+}
+
+fn rename_keys(fields: &mut Map<String, Value>, name: impl Fn(&str) -> String) {
+    *fields = std::mem::take(fields).into_iter().map(|(key, value)| (name(&key), value)).collect();
 }
 
 /// A port without its name; how its bytes begin stays.
@@ -208,6 +237,29 @@ fn bodies_of(value: &Value, found: &mut Vec<String>) {
                     Value::String(name) if key == "body" => found.push(name.clone()),
                     Value::Object(bodies) if key == "bodies" => found.extend(bodies.keys().cloned()),
                     other => bodies_of(other, found),
+                }
+            }
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+    }
+}
+
+/// Names of labels in a scene; their numbers are none.
+fn labels_of(value: &Value, found: &mut BTreeSet<String>) {
+    let is_name = |name: &&str| name.trim().parse::<u32>().is_err();
+    match value {
+        Value::Array(values) => values.iter().for_each(|value| labels_of(value, found)),
+        Value::Object(fields) => {
+            for (key, value) in fields {
+                match value {
+                    Value::Object(labels) if key == "map" => {
+                        found.extend(labels.keys().map(String::as_str).filter(is_name).map(str::to_owned));
+                    }
+                    Value::Object(bodies) if key == "bodies" => {
+                        let labels = bodies.values().filter_map(Value::as_array).flatten().filter_map(Value::as_str);
+                        found.extend(labels.filter(is_name).map(str::to_owned));
+                    }
+                    other => labels_of(other, found),
                 }
             }
         }
@@ -255,5 +307,41 @@ mod tests {
         names.hide("bead", ["B1", "bead 12", "specimen", "Quaxwelk", "Quaxwelk-2"].into_iter());
         assert_eq!(names.count(), 2, "{names:?}");
         assert_eq!(names.word("bead Quaxwelk-2 is far from Quaxwelk and B1"), "bead bead-2 is far from bead-1 and B1");
+    }
+
+    /// Structure names of a label map were told, and a label that was called as a body is was renamed with it: then nothing had that name.
+    #[test]
+    fn labels_are_hidden_where_they_stand_and_keep_their_order() {
+        let text = json!({"objects": [{"ct": {"path": "ct.nii", "materials": {
+            "labels": "seg.nii", "default": "water",
+            "map": {"77": "bone_cortical", "hip": "bone_cortical", "Quaxwelk soft": {"material": "soft_tissue"}, "zz Quaxwelk": "lung"},
+            "bodies": {"Quaxwelk": ["Quaxwelk", 5, "6"], "femur": ["hip"]}
+        }}}]});
+        let mut names = Names::default();
+        names.hide("body", ["Quaxwelk"].into_iter());
+        names.hide_labels(&text);
+        let scene = names.scene(&text.to_string());
+        assert!(!scene.contains("Quaxwelk"), "{scene}");
+        let materials = &serde_json::from_str::<Value>(&scene).expect("JSON")["objects"][0]["ct"]["materials"];
+        let hidden = hidden_label;
+        let map = [
+            ("77".to_owned(), json!("bone_cortical")),
+            (hidden(0, "Quaxwelk"), Value::Null),
+            (hidden(1, "Quaxwelk soft"), json!({"material": "soft_tissue"})),
+            (hidden(2, "hip"), json!("bone_cortical")),
+            (hidden(3, "zz Quaxwelk"), json!("lung")),
+        ];
+        assert!(map.is_sorted_by(|a, b| a.0 < b.0), "as before");
+        for (label, made_of) in &map {
+            assert_eq!(&materials["map"][label], made_of, "{label}: {scene}");
+        }
+        assert_eq!(materials["bodies"], json!({"body-1": [hidden(0, "Quaxwelk"), 5, "6"], "femur": [hidden(2, "hip")]}));
+        // Once more there is nothing to hide.
+        let mut again = Names::default();
+        again.hide_labels(&serde_json::from_str(&scene).expect("JSON"));
+        assert_eq!(again.count(), 0, "{again:?}");
+        let mut plain = Names::default();
+        plain.hide_labels(&json!({"materials": {"labels": "seg.nii", "map": {"77": "lung"}, "bodies": {"b": [5]}}}));
+        assert_eq!(plain.count(), 0, "{plain:?}");
     }
 }

@@ -40,7 +40,7 @@ pub struct RedactReport {
     pub path: PathBuf,
     /// Messages in it.
     pub messages: u64,
-    /// Names of files, beads, bodies and landmarks that others stand for.
+    /// Names of files, beads, bodies, landmarks and labels that others stand for.
     pub names: usize,
     /// Events that were told.
     pub events: usize,

@@ -147,13 +147,6 @@ impl LineAdapter {
         &self.0.declaration
     }
 
-    /// The same lines, said by nobody.
-    #[must_use]
-    pub fn with_origin(&self, origin: &str) -> Self {
-        let declaration = Declaration { origin: origin.to_owned(), ..self.0.declaration.clone() };
-        Self::try_from(declaration).unwrap_or_else(|_| self.clone())
-    }
-
     /// Whether a line (without its end) names all columns that are read.
     pub(in crate::telemetry) fn is_header(&self, line: &[u8]) -> bool {
         let text = std::str::from_utf8(line).unwrap_or_default();
@@ -200,6 +193,11 @@ impl LineAdapter {
             words.push((NO_EXPOSURES, said.to_owned()));
         }
         words
+    }
+
+    /// Whether the declaration says of a line, without its end, that it means nothing.
+    pub(super) fn is_ignored(&self, line: &str) -> bool {
+        self.0.splitter.is_ignored(line)
     }
 
     /// A line without its end; `header` are the columns that an earlier one has named.

@@ -6,6 +6,11 @@ use super::split::Columns;
 /// Shorter words name nobody.
 const LEAST_WORD_BYTES: usize = 2;
 
+/// What a line is made of that was to be ignored, …
+const IGNORED: u8 = b'~';
+/// … and how a declaration says that such lines are: no device prints them.
+pub(super) const IGNORED_LINES: &str = "~+";
+
 /// Takes words out of lines, in the order in which they came.
 #[derive(Clone, Debug)]
 pub struct LineBlanker {
@@ -30,9 +35,15 @@ impl LineBlanker {
     }
 
     /// A line without its end, as long as it was and saying the same, with other letters and digits for all that its sample does not rest on:
-    /// columns that nobody reads, comments, lines that are none.
+    /// columns that nobody reads, comments, lines that are none. Of a line that the declaration ignores nothing is left: by which words it does so
+    /// is taken out of the declaration as well ([`LineAdapter::nameless`]).
     #[must_use]
     pub fn blanked(&mut self, line: &[u8]) -> Vec<u8> {
+        // A zero makes it no text, whatever is to be ignored.
+        let text = std::str::from_utf8(line).ok().filter(|text| !text.contains('\0'));
+        if text.is_some_and(|text| self.adapter.is_ignored(text)) {
+            return vec![IGNORED; line.len()];
+        }
         let said = self.said(line);
         let mut kept = line.to_vec();
         let mut at = 0;

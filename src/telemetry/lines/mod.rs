@@ -6,6 +6,7 @@ mod cycle;
 mod declaration;
 mod decoder;
 mod error;
+mod nameless;
 mod quantity;
 mod reading;
 mod sample;

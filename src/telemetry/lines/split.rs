@@ -115,15 +115,10 @@ impl Splitter {
 
     /// `header` are the columns that an earlier line has named.
     pub(super) fn split(&self, line: &str, header: Option<&Columns>) -> Result<Split, LineFault> {
-        let separator = match &self.how {
-            How::Csv { separator, .. } => separator.map(char::from),
-            How::Regex(_) | How::Json(_) => None,
-        };
-        // A tab that separates stands for an empty column, at either end as well.
-        let line = line.trim_matches(|c: char| c.is_whitespace() && Some(c) != separator);
-        if self.ignore.iter().any(|pattern| pattern.is_match(line)) {
+        if self.is_ignored(line) {
             return Ok(Split::Nothing);
         }
+        let line = self.trimmed(line);
         match &self.how {
             How::Csv { separator, comment, columns } => {
                 if comment.as_ref().is_some_and(|comment| line.starts_with(comment)) {
@@ -145,6 +140,21 @@ impl Splitter {
                 Ok(Split::Texts(pointers.iter().map(|pointer| object.pointer(pointer).and_then(text_of)).collect()))
             }
         }
+    }
+
+    /// Whether the declaration says that the line means nothing.
+    pub(super) fn is_ignored(&self, line: &str) -> bool {
+        let line = self.trimmed(line);
+        self.ignore.iter().any(|pattern| pattern.is_match(line))
+    }
+
+    fn trimmed<'a>(&self, line: &'a str) -> &'a str {
+        let separator = match &self.how {
+            How::Csv { separator, .. } => separator.map(char::from),
+            How::Regex(_) | How::Json(_) => None,
+        };
+        // A tab that separates stands for an empty column, at either end as well.
+        line.trim_matches(|c: char| c.is_whitespace() && Some(c) != separator)
     }
 
     fn columns(&self, fields: &[String], columns: Option<&Columns>) -> Result<Split, LineFault> {

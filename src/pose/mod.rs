@@ -5,6 +5,7 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod accept;
+mod bead_triples;
 mod besides;
 mod bodies;
 mod by_header;
@@ -42,9 +43,11 @@ mod rivals;
 mod search;
 mod settle;
 mod shadow;
+mod side_by_side;
 mod solve;
 mod start;
 mod straighten;
+mod support;
 mod tables;
 mod tagged;
 mod three;

@@ -123,6 +123,7 @@ impl Intrinsics {
 
     /// Projects a point in `camera`; meaningful for z > 0.
     #[must_use]
+    #[inline(always)]
     pub fn project(&self, p_in_camera: DVec3) -> DVec2 {
         let (x, y) = (p_in_camera.x / p_in_camera.z, p_in_camera.y / p_in_camera.z);
         DVec2::new(self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy)

@@ -6,6 +6,7 @@
 
 mod accept;
 mod artefact;
+mod bead_triples;
 mod besides;
 mod bodies;
 mod by_header;
@@ -46,10 +47,12 @@ mod rivals;
 mod search;
 mod settle;
 mod shadow;
+mod side_by_side;
 mod solve;
 mod span;
 mod start;
 mod straighten;
+mod support;
 mod tables;
 mod tagged;
 mod three;

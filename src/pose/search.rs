@@ -6,8 +6,11 @@
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::bead_triples::{BeadTriples, Windows};
 use super::gate::Gate;
+use super::side_by_side::Block;
 use super::solve::{Free, Match, Options, Solution, solve};
+use super::support::Seen;
 use super::tables::{Depths, Tables, Target};
 use super::triangle::{self, Images};
 use crate::beads::Detection;
@@ -78,6 +81,7 @@ pub const FEWEST: usize = 4;
 const LEAST_SHARE: f64 = 0.5;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
+const KEPT_PER_TRIPLE: usize = 12;
 
 struct Raw {
     pose: Rigid,
@@ -96,8 +100,12 @@ impl Search<'_> {
         let mut best: Vec<Hypothesis> = Vec::new();
         let (mut tried, mut solved, mut cut_short) = (0u64, 0u64, false);
         for (batch, chunk) in triples.chunks(BATCH).enumerate() {
-            let results: Vec<(Vec<Raw>, u64, u64)> =
-                chunk.par_iter().enumerate().map(|(n, triple)| self.try_triple(batch * BATCH + n, *triple, &tables)).collect();
+            let first = batch * BATCH;
+            let results: Vec<(Vec<Raw>, u64, u64)> = chunk
+                .par_iter()
+                .enumerate()
+                .map_init(Block::new, |block, (n, triple)| self.try_triple(first + n, *triple, &tables, block))
+                .collect();
             let mut raws: Vec<Raw> = Vec::new();
             for (list, verified, count) in results {
                 raws.extend(list);
@@ -150,7 +158,7 @@ impl Search<'_> {
         triples
     }
 
-    fn try_triple(&self, number: usize, triple: [usize; 3], tables: &Tables) -> (Vec<Raw>, u64, u64) {
+    fn try_triple(&self, number: usize, triple: [usize; 3], tables: &Tables, block: &mut Block) -> (Vec<Raw>, u64, u64) {
         let images = Images::new(triple.map(|n| tables.rays[n]));
         let apart = images.squares_apart();
         let longest = apart[0].max(apart[1]).max(apart[2]);
@@ -159,58 +167,52 @@ impl Search<'_> {
             return (Vec::new(), 0, 0);
         }
         let (near, far) = self.depth_mm;
-        let within_reach = Depths { near, far };
         let least_mm2 = apart.map(|square| square * (0.97 * near).powi(2));
-        let fits = |n: usize, world_mm2: f64| world_mm2 >= least_mm2[n] && world_mm2 > 0.0;
         let allowed =
             |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]] && self.may_pair(bead, triple[n]);
-        let (mut raws, mut tried, mut solved) = (Vec::new(), 0u64, 0u64);
-        let count = self.targets.len();
-        let open: [Vec<usize>; 3] = [0, 1, 2].map(|n| (0..count).filter(|bead| allowed(*bead, n)).collect());
-        for &i in &open[0] {
-            let from_i = &tables.squares_mm2[i * count..(i + 1) * count];
-            for &j in &open[1] {
-                if j == i || !fits(0, from_i[j]) {
-                    continue;
-                }
-                let from_j = &tables.squares_mm2[j * count..(j + 1) * count];
-                for &k in &open[2] {
-                    if k == i || k == j || !fits(1, from_i[k]) || !fits(2, from_j[k]) {
-                        continue;
-                    }
-                    solved += 1;
-                    let (beads, squares_mm2) = ([i, j, k], [from_i[j], from_i[k], from_j[k]]);
-                    let counts = |depths: &[f64; 3], factor: f64| {
-                        within_reach.may_contain(depths[0], factor) && tables.three_fit(beads, triple, depths, factor)
-                    };
-                    let Some(rough) = triangle::rough_depths(squares_mm2, &images) else { continue };
-                    for start in rough.depths_mm {
-                        // Far from any depth that counts, exact ones are not computed.
-                        if !counts(&start, rough.factor()) {
-                            continue;
-                        }
-                        let stepped = |depths: &[f64; 3]| counts(depths, rough.stepped_factor());
-                        let exact = triangle::depths(squares_mm2, &images, start, stepped);
-                        let Some(depths) = exact.filter(|depths| counts(depths, 1.0)) else { continue };
-                        let points = beads.map(|n| self.targets[n].lps_mm);
-                        let pose = || triangle::pose(&points, &images, depths);
-                        if self.gate.is_some() && !pose().is_some_and(|pose| self.inside_gate(&pose, ROUGH_GATE)) {
-                            continue;
-                        }
-                        tried += 1;
-                        let at = triangle::turn_and_shift(&points, &images, depths);
-                        if let Some(worth) = self.support(&at, beads, triple, depths[0], tables)
-                            && let Some(pose) = pose()
-                        {
-                            raws.push(Raw { pose, worth, order: (number, raws.len()) });
-                        }
-                    }
-                }
+        let open = [0, 1, 2].map(|n| (0..self.targets.len()).map(|bead| allowed(bead, n)).collect::<Vec<bool>>());
+        let windows = Windows::new(&open, |bead, n| {
+            let own = tables.in_gate(bead, triple[n]);
+            if n == 0 { own.both(Depths { near, far }) } else { own }
+        });
+        let pose = |beads: [usize; 3], depths_mm: [f64; 3]| {
+            triangle::pose(&beads.map(|bead| self.targets[bead].lps_mm), &images, depths_mm)
+        };
+        let seen = Seen { targets: self.targets, images: &images, intrinsics: &self.intrinsics, shadows: &tables.shadows };
+        let (mut worthy, mut tried) = (Vec::new(), 0u64);
+        let mut verify = |block: &mut Block| {
+            block.solve(&images, &windows);
+            if self.gate.is_some() {
+                block.retain(|beads, depths_mm| pose(beads, depths_mm).is_some_and(|pose| self.inside_gate(&pose, ROUGH_GATE)));
             }
-        }
-        raws.sort_by(|a, b| b.worth.total_cmp(&a.worth).then(a.order.cmp(&b.order)));
-        raws.truncate(12);
-        (raws, tried, solved)
+            tried += block.solved() as u64;
+            block.each_supported(&seen, self.fewest_others(), |beads, depths_mm| {
+                let points = beads.map(|bead| self.targets[bead].lps_mm);
+                let at = triangle::turn_and_shift(&points, &images, depths_mm);
+                if let Some(worth) = self.support(&at, beads, triple, depths_mm[0], tables) {
+                    worthy.push((worth, worthy.len(), beads, depths_mm));
+                }
+            });
+            block.clear();
+        };
+        block.clear();
+        let solved = BeadTriples::new(tables, &images, &open, least_mm2, &windows).each(|beads, squares_mm2| {
+            block.push(beads, squares_mm2);
+            if block.is_full() {
+                verify(block);
+            }
+        });
+        verify(block);
+        worthy.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let raw = |(worth, n, beads, depths_mm): (f64, usize, [usize; 3], [f64; 3])| {
+            pose(beads, depths_mm).map(|pose| Raw { pose, worth, order: (number, n) })
+        };
+        (worthy.into_iter().filter_map(raw).take(KEPT_PER_TRIPLE).collect(), tried, solved)
+    }
+
+    /// Beads that must agree with a pose from three others.
+    fn fewest_others(&self) -> usize {
+        self.fewest.min(self.targets.len()).saturating_sub(3).max(1)
     }
 
     /// Whether the pose is inside the gate, widened by `factor`.
@@ -237,13 +239,10 @@ impl Search<'_> {
                 return None;
             }
             let at = self.intrinsics.project(p);
-            if !tables.shadows.may_be_near(at) {
-                continue;
-            }
             let limit = self.reach_px(target, depth_mm);
             let mut nearest = limit * limit;
-            for (n, detection) in self.detections.iter().enumerate() {
-                let d2 = detection.image_px.distance_squared(at);
+            for &n in tables.shadows.near(at) {
+                let d2 = self.detections[n].image_px.distance_squared(at);
                 if d2 < nearest && !triple.contains(&n) && tables.radius_fits(bead, n, p.z) {
                     nearest = d2;
                 }
@@ -253,7 +252,7 @@ impl Search<'_> {
                 worth += 1.0 - 0.5 * nearest / (limit * limit);
             }
         }
-        (agreeing >= 1 && agreeing + 3 >= self.fewest.min(self.targets.len())).then_some(worth)
+        (agreeing >= self.fewest_others()).then_some(worth)
     }
 
     /// Re-matches and re-solves from a rough pose, tightening.

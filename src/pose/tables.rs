@@ -38,16 +38,18 @@ pub(super) struct Tables {
     pub rays: Vec<DVec2>,
     /// Between beads, row by row.
     pub squares_mm2: Vec<f64>,
+    /// The largest distance between two.
+    pub longest_mm: f64,
     /// Where a bead has about the radius of a shadow, row by row of beads.
     fits: Vec<Depths>,
-    /// The same of those that the triple may ask for: where the gate lets the bead be.
+    /// The same where the gate lets the bead be.
     in_gate: Vec<Depths>,
     pub shadows: Occupancy,
     count: usize,
 }
 
 /// Depths between two, mm; none where the first is not below the second.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Depths {
     pub near: f64,
     pub far: f64,
@@ -63,13 +65,19 @@ impl Depths {
     }
 
     /// Whether a depth that may be off by a factor is among them.
-    #[inline]
+    #[inline(always)]
     pub fn may_contain(self, depth_mm: f64, factor: f64) -> bool {
-        depth_mm * factor > self.near && depth_mm < self.far * factor
+        (depth_mm * factor > self.near) & (depth_mm < self.far * factor)
     }
 
-    fn both(self, other: Self) -> Self {
+    /// What both contain.
+    pub fn both(self, other: Self) -> Self {
         Self { near: self.near.max(other.near), far: self.far.min(other.far) }
+    }
+
+    /// What one of them contains, and what lies between.
+    pub fn hull(self, other: Self) -> Self {
+        Self { near: self.near.min(other.near), far: self.far.max(other.far) }
     }
 
     /// Where a sphere whose radius is `one_px` at a depth of 1 mm has a shadow of `radius_px`, whose logarithm may be off by `slack`:
@@ -113,7 +121,8 @@ impl Tables {
             let p = intrinsics.unproject(d.image_px);
             DVec2::new(p.x, p.y)
         };
-        let squares_mm2 = targets.iter().flat_map(|a| targets.iter().map(move |b| a.lps_mm.distance_squared(b.lps_mm))).collect();
+        let squares_mm2: Vec<f64> =
+            targets.iter().flat_map(|a| targets.iter().map(move |b| a.lps_mm.distance_squared(b.lps_mm))).collect();
         let fits: Vec<Depths> = {
             let of = |bead: usize, n: usize| match targets[bead].radius_mm {
                 _ if !may_pair(bead, n) => Depths::NONE,
@@ -128,6 +137,7 @@ impl Tables {
         };
         Self {
             rays: detections.iter().map(ray).collect(),
+            longest_mm: squares_mm2.iter().copied().fold(0.0, f64::max).sqrt(),
             squares_mm2,
             in_gate: fits.iter().enumerate().map(|(n, fits)| fits.both(in_gate[n / detections.len()])).collect(),
             fits,
@@ -142,10 +152,10 @@ impl Tables {
         self.fits[bead * self.count + detection].contain(depth_mm)
     }
 
-    /// The same of three at once, which are where the gate lets them be, at depths that may be off by a factor.
+    /// Depths at which it would, and at which the gate lets the bead be.
     #[inline]
-    pub fn three_fit(&self, beads: [usize; 3], triple: [usize; 3], depths_mm: &[f64; 3], factor: f64) -> bool {
-        (0..3).all(|n| self.in_gate[beads[n] * self.count + triple[n]].may_contain(depths_mm[n], factor))
+    pub fn in_gate(&self, bead: usize, detection: usize) -> Depths {
+        self.in_gate[bead * self.count + detection]
     }
 }
 

@@ -408,7 +408,7 @@ mod tests {
             assert_eq!(of_block(&block), alone, "round {round}");
             solved += alone.len();
             if round % 2 == 0 {
-                let is_wanted = |beads: [usize; 3], depths: [f64; 3]| beads[1] % 2 == 0 && depths[0] < 800.0;
+                let is_wanted = |beads: [usize; 3], depths: [f64; 3]| beads[1].is_multiple_of(2) && depths[0] < 800.0;
                 block.retain(is_wanted);
                 alone.retain(|(beads, depths)| is_wanted(*beads, *depths));
                 assert_eq!(of_block(&block), alone, "round {round}");

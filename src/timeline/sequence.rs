@@ -4,6 +4,8 @@
 //! What another delay explains nearly as well is not told: exposures as even as a clock's ticks stay ambiguous. Where a picture is missing, or
 //! comes as none else does, the delay may have changed: what lies before it and what follows must tell each by its own times.
 
+use std::ops::RangeInclusive;
+
 use super::console::Bounds;
 use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
@@ -30,7 +32,9 @@ const NEEDED: usize = 4;
 const PART_NEEDED: usize = 3;
 const SHARE: usize = 5;
 /// Risk that the exposure's own frame is missing and a stray came just then.
-const RISK: f64 = 5e-5;
+const RISK: f64 = 2e-5;
+/// What a frame may come sooner or later than all others that agree.
+const MARGIN_US: i64 = 40_000;
 /// Exposures from which it is known whether frames come at present.
 const LAST_EXPOSURES: usize = 12;
 /// Added to the session's length where strays are counted, µs.
@@ -132,6 +136,14 @@ impl<'a> Sequence<'a> {
         (0..self.ended.len()).filter(|at| (first_us..now_us).contains(&due_us(*at))).collect()
     }
 
+    /// The shortest and the longest delay of the frames that agree, but for the one at `frame`, with a margin.
+    fn usual_us(&self, frame: usize) -> Option<RangeInclusive<i64>> {
+        let others = self.own.iter().enumerate().filter(|(at, _)| *at != frame);
+        let delays_us = others.filter_map(|(at, own)| Some(self.arrivals_us[at].saturating_sub(self.ended[(*own)?].end_us)));
+        let (shortest_us, longest_us) = (delays_us.clone().min()?, delays_us.max()?);
+        Some(shortest_us.saturating_sub(MARGIN_US)..=longest_us.saturating_add(MARGIN_US))
+    }
+
     /// Whether the frames around the one at `frame`, as far as each exposure has its frame and each frame its exposure, have this delay in common
     /// and no other, whatever those farther off say. `due`: exposures whose frames are there if they come.
     fn tells_by_itself(&self, frame: usize, exposure: usize, due: &[usize]) -> bool {
@@ -165,7 +177,9 @@ impl Weighed<'_> {
             .any(|at| waits(at) && sequence.ended[at].end_us <= arrival_us.saturating_sub(SOONEST_US));
         let blind = self.timeline.exposure_tracker().blind_spot(end_us.min(arrival_us.saturating_sub(PROMPT_US)), arrival_us);
         let taken = frames != 1 || shots.get(shot).frame.is_some() || shots.get(shot).over_us >= arrival_us;
-        if crowded || later || taken || blind.is_some() || self.came_with_another(arrival_us) {
+        let usual_us = sequence.usual_us(place)?;
+        let is_odd = !usual_us.contains(&arrival_us.saturating_sub(end_us));
+        if crowded || later || taken || is_odd || blind.is_some() || self.came_with_another(arrival_us) {
             return None;
         }
         let now_us = if self.known.finished { i64::MAX } else { self.newest_us.unwrap_or(self.now_us).min(self.now_us) };
@@ -177,7 +191,7 @@ impl Weighed<'_> {
         }
         let is_whole = sequence.own.iter().all(Option::is_some) && due.iter().all(|at| sequence.ended[*at].frames == 1);
         if !is_whole && !sequence.tells_by_itself(place, exposure, &due)
-            || !(self.stray_risk(&sequence, &due, arrival_us) <= RISK)
+            || !(self.stray_risk(&sequence, &due, arrival_us, &usual_us) <= RISK)
         {
             return None;
         }
@@ -263,13 +277,13 @@ impl Weighed<'_> {
         true
     }
 
-    /// Chance that the exposure's own frame is missing and a stray came within the time in which it would have come.
-    fn stray_risk(&self, sequence: &Sequence, due: &[usize], arrival_us: i64) -> f64 {
+    /// Chance that the exposure's own frame is missing and a stray came within the time in which it would have come, `usual_us` after it.
+    fn stray_risk(&self, sequence: &Sequence, due: &[usize], arrival_us: i64, usual_us: &RangeInclusive<i64>) -> f64 {
         let last: Vec<usize> = due.iter().rev().take(LAST_EXPOSURES).copied().collect();
         let lacking = last.iter().filter(|at| sequence.ended[**at].frames == 0).count();
         let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
         let strays = self.known.strays as usize + sequence.own.iter().filter(|own| own.is_none()).count();
         let elapsed_us = arrival_us.saturating_sub(self.known.shots.get(0).start_us).max(0) as f64 + PRIOR_US;
-        share * (strays as f64 + 0.5) / elapsed_us * (2 * BESIDE_US) as f64
+        share * (strays as f64 + 0.5) / elapsed_us * usual_us.end().saturating_sub(*usual_us.start()) as f64
     }
 }

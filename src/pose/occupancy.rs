@@ -64,13 +64,19 @@ impl Occupancy {
         Self { corner_px, columns, rows, is_near, first, shadows }
     }
 
+    /// In cells from the corner, and whether any is there.
+    #[inline(always)]
+    fn in_cells(&self, at_px: DVec2) -> ([f64; 2], bool) {
+        let [x, y] = [(at_px.x - self.corner_px.x) / CELL_PX, (at_px.y - self.corner_px.y) / CELL_PX];
+        ([x, y], (x >= 0.0) & (y >= 0.0) & (x < self.columns as f64) & (y < self.rows as f64))
+    }
+
     /// The number of the cell of a place. No branch, and no conversion that a vector cannot do: adding 2⁵² leaves a whole number in the last bits.
     #[inline(always)]
     pub fn cell(&self, at_px: DVec2) -> u32 {
-        let (columns, rows) = (self.columns as f64, self.rows as f64);
-        let (x, y) = ((at_px.x - self.corner_px.x) / CELL_PX, (at_px.y - self.corner_px.y) / CELL_PX);
-        let is_inside = (x >= 0.0) & (y >= 0.0) & (x < columns) & (y < rows);
-        let cell = if is_inside { y.floor() * columns + x.floor() } else { columns * rows };
+        let ([x, y], is_inside) = self.in_cells(at_px);
+        let columns = self.columns as f64;
+        let cell = if is_inside { y.floor() * columns + x.floor() } else { columns * self.rows as f64 };
         (cell + 4_503_599_627_370_496.0).to_bits() as u32
     }
 
@@ -82,7 +88,8 @@ impl Occupancy {
 
     /// All that may be within reach of a place, in their order.
     pub fn near(&self, at_px: DVec2) -> &[usize] {
-        let cell = self.cell(at_px) as usize;
+        let ([x, y], is_inside) = self.in_cells(at_px);
+        let cell = if is_inside { y as usize * self.columns + x as usize } else { self.columns * self.rows };
         &self.shadows[self.first[cell]..self.first[cell + 1]]
     }
 }

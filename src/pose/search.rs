@@ -179,18 +179,27 @@ impl Search<'_> {
             triangle::pose(&beads.map(|bead| self.targets[bead].lps_mm), &images, depths_mm)
         };
         let seen = Seen { targets: self.targets, images: &images, intrinsics: &self.intrinsics, shadows: &tables.shadows };
-        let (mut worthy, mut tried) = (Vec::new(), 0u64);
+        let (mut best, mut given, mut tried): (Vec<Raw>, _, _) = (Vec::new(), 0, 0u64);
         let mut verify = |block: &mut Block| {
             block.solve(&images, &windows);
             if self.gate.is_some() {
                 block.retain(|beads, depths_mm| pose(beads, depths_mm).is_some_and(|pose| self.inside_gate(&pose, ROUGH_GATE)));
             }
             tried += block.solved() as u64;
-            block.each_supported(&seen, self.fewest_others(), |beads, depths_mm| {
+            // A bead's agreement is worth 1 at most: with fewer none comes before the last of those that are kept.
+            let last = best.get(KEPT_PER_TRIPLE - 1).map_or(0, |last| last.worth as usize + 1);
+            block.each_supported(&seen, last.max(self.fewest_others()), |beads, depths_mm| {
                 let points = beads.map(|bead| self.targets[bead].lps_mm);
                 let at = triangle::turn_and_shift(&points, &images, depths_mm);
+                given += 1;
                 if let Some(worth) = self.support(&at, beads, triple, depths_mm[0], tables) {
-                    worthy.push((worth, worthy.len(), beads, depths_mm));
+                    let place = best.partition_point(|raw| raw.worth >= worth);
+                    if place < KEPT_PER_TRIPLE
+                        && let Some(pose) = pose(beads, depths_mm)
+                    {
+                        best.insert(place, Raw { pose, worth, order: (number, given) });
+                        best.truncate(KEPT_PER_TRIPLE);
+                    }
                 }
             });
             block.clear();
@@ -203,11 +212,7 @@ impl Search<'_> {
             }
         });
         verify(block);
-        worthy.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let raw = |(worth, n, beads, depths_mm): (f64, usize, [usize; 3], [f64; 3])| {
-            pose(beads, depths_mm).map(|pose| Raw { pose, worth, order: (number, n) })
-        };
-        (worthy.into_iter().filter_map(raw).take(KEPT_PER_TRIPLE).collect(), tried, solved)
+        (best, tried, solved)
     }
 
     /// Beads that must agree with a pose from three others.

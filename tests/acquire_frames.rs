@@ -256,13 +256,17 @@ fn tiff_and_png_take_their_meaning_from_the_sidecar_or_the_user() {
         ("intensity", Domain::Linear),
         ("counts", Domain::Linear),
         ("line_integral", Domain::Log),
+        ("scatter", Domain::Linear),
         ("area_density", Domain::Unknown),
+        ("weather", Domain::Unknown),
     ];
     for (quantity, domain) in quantities {
         let sidecar = serde_json::json!({"quantity": quantity, "unit": "u", "detector": {"pitch_mm": 0.2}});
         std::fs::write(folder.path().join("image.tif.json"), sidecar.to_string()).expect("sidecar");
         let frame = read_frame(&path, None).expect("readable");
         assert_eq!(frame.domain, domain, "{quantity}");
+        let is_named = frame.domain_evidence.iter().any(|line| line.ends_with(&format!("says quantity {quantity}")));
+        assert_eq!(is_named, quantity != "weather", "{quantity}: {:?}", frame.domain_evidence);
         assert_eq!(frame.tags.pitch_mm, Some([0.2, 0.2]));
     }
     // By the names that `render` and others write.

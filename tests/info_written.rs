@@ -169,7 +169,8 @@ fn what_commands_leave_behind_is_known() {
     std::fs::write(at("scene.json"), scene.to_string()).expect("written");
     for words in [
         "render scene.json --device cpu --out drr.tif --png drr.png --dicom drr.dcm",
-        "scatter scene.json --device cpu --histories 65536 --grid-px 4x3 --out scatter.tif",
+        "render scene.json --device cpu --quantity line_integral --out line.tif",
+        "scatter scene.json --device cpu --histories 65536 --grid-px 4x3 --out scatter.tif --dose dose.nii.gz",
         "attenuation water --kev 20,60 --plot water.svg",
     ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
@@ -190,7 +191,11 @@ fn what_commands_leave_behind_is_known() {
         ("drr.tif.json", "image_description"),
         ("drr.png", "frame"),
         ("drr.dcm", "frame"),
+        ("line.tif", "frame"),
         ("scatter.tif", "frame"),
+        ("dose.nii.gz", "volume"),
+        ("dose.nii.gz.error.nii.gz", "volume"),
+        ("dose.nii.gz.json", "image_description"),
         ("scatter.tif.json", "image_description"),
         ("water.svg", "drawing"),
         ("trade.txt", "trade"),
@@ -202,4 +207,38 @@ fn what_commands_leave_behind_is_known() {
         assert_eq!(facts(&at(name))["kind"], kind, "{name}");
     }
     assert_eq!(facts(&at("trade.txt"))["size"], "32 x 24");
+    check_what_images_show(folder.path());
+}
+
+/// Eight images of scatter without names, and a map of dose that was taken for labels, for all that the description beside them says.
+fn check_what_images_show(folder: &Path) {
+    let at = |name: &str| folder.join(name);
+    for (name, domain, unit) in [("drr.tif", "linear", "1"), ("line.tif", "log", "neper"), ("scatter.tif", "linear", "1")] {
+        let found = facts(&at(name));
+        let images = found["images"].as_array().expect("images");
+        assert!(images.iter().all(|image| image["domain"] == domain && image["unit"] == unit), "{name}: {found}");
+        assert!(images.iter().all(|image| image.get("number").is_none()), "{name}: {found}");
+    }
+    let pages = || -> Vec<Value> {
+        facts(&at("scatter.tif"))["images"].as_array().expect("images").iter().map(|image| image["page"].clone()).collect()
+    };
+    let described: Value = serde_json::from_slice(&std::fs::read(at("scatter.tif.json")).expect("beside it")).expect("JSON");
+    assert_eq!(json!(pages()), described["pages"]);
+    assert!(pages().len() == 8 && pages()[7] == "multiple_standard_error", "{:?}", pages());
+
+    let is_doubted = |found: &Value| found["notes"].to_string().contains("Hounsfield");
+    for (name, quantity) in [("dose.nii.gz", "dose"), ("dose.nii.gz.error.nii.gz", "standard error of the dose")] {
+        let found = facts(&at(name));
+        assert_eq!((&found["quantity"], &found["unit"]), (&json!(quantity), &json!("Gy")), "{name}");
+        assert!(!is_doubted(&found), "{found}");
+    }
+    // Names of other pages, and a map of another size, are not believed.
+    for (name, key, other) in [("scatter.tif.json", "pages", json!(["one"])), ("dose.nii.gz.json", "size", json!([1, 2, 3]))] {
+        let mut told: Value = serde_json::from_slice(&std::fs::read(at(name)).expect("there")).expect("JSON");
+        told[key] = other;
+        std::fs::write(at(name), told.to_string()).expect("written");
+    }
+    assert!(pages().iter().all(Value::is_null), "the control");
+    let found = facts(&at("dose.nii.gz"));
+    assert!(found["quantity"].is_null() && is_doubted(&found), "the control: {found}");
 }

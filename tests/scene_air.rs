@@ -277,6 +277,30 @@ pub fn labels(names: &[(u32, &str)]) -> Vec<u8> {
     bytes
 }
 
+/// It was told to give a key that is not known there.
+#[test]
+fn a_label_s_material_without_a_density_is_told_what_can_be_said_there() {
+    let folder = tempfile::tempdir().expect("folder");
+    chest().write(&folder.path().join("ct.nii"));
+    std::fs::write(folder.path().join("own.nii"), labels(&[])).expect("writes");
+    let of = |density: &str| {
+        let map = json!({"1": "lung", "2": {"material": "CaCO3", "density": density}});
+        load(folder.path(), &json!({"path": "ct.nii", "materials": {"labels": "own.nii", "map": map}})).0
+    };
+    let error = of("nominal").expect_err("no density");
+    assert!(error.contains("'CaCO3' has no nominal density") && error.contains("\"density\": \"hu\""), "{error}");
+    assert!(!error.contains("density_g_per_cm3"), "{error}");
+    assert_eq!(matter_at(&of("hu").expect("what was said"), 28, 2).0, "CaCO3");
+    // Where there is such a key it is named.
+    let text = json!({
+        "objects": [{"sphere": {"centre_lps_mm": [0, 0, 0], "radius_mm": 20, "material": "CaCO3"}}],
+        "beam": {"mono_kev": 60},
+        "detector": {"pitch_mm": 1.0}
+    });
+    let error = scene::load_text(&text.to_string(), &folder.path().join("scene.json"), false, &Reporter::silent());
+    assert!(error.is_err_and(|error| error.to_string().contains("give density_g_per_cm3")), "the control");
+}
+
 #[test]
 fn labels_go_by_name_and_the_nearest_is_offered() {
     let folder = tempfile::tempdir().expect("folder");

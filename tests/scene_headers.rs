@@ -108,8 +108,9 @@ fn metaimage_that_cannot_be_used_is_one_sentence() {
         good.replace(from, to)
     };
     let compressed = change("BinaryData = True", "BinaryData = True\nCompressedData = True");
+    let behind = [&[7_u8; 20][..], &voxels[..]].concat();
     let mut zipped = zlib(&voxels);
-    let cases: [(String, &[u8], &str); 24] = [
+    let cases: [(String, &[u8], &str); 26] = [
         (good.clone(), &voxels[..voxels.len() - 1], "cut short"),
         (change("ObjectType = Image", "ObjectType = Tube"), &voxels, "that of 'Tube'"),
         (change("NDims = 3", "NDims = 2"), &voxels, "expected 2 numbers"),
@@ -118,13 +119,20 @@ fn metaimage_that_cannot_be_used_is_one_sentence() {
         (change("DimSize = 7 6 5", "DimSize = 70000 60000 50000"), &voxels, "70000 x 60000 x 50000 voxels"),
         (change("ElementType = MET_SHORT", "ElementType = MET_STRING"), &voxels, "'MET_STRING'"),
         (change("ElementType = MET_SHORT\n", ""), &voxels, "'ElementType'"),
-        (change("ElementSpacing = 2 2.5 5\n", ""), &voxels, "'ElementSize'"),
+        (change("ElementSpacing = 2 2.5 5\n", ""), &voxels, "neither 'ElementSpacing' nor 'ElementSize'"),
         (change("ElementSpacing = 2 2.5 5", "ElementSpacing = 0 2.5 5"), &voxels, "singular"),
         (change("ElementSpacing = 2 2.5 5", "ElementSpacing = 2 -2.5 5"), &voxels, "'ElementSpacing' of its header is -2.5"),
         (change("TransformMatrix = 1 0 0", "TransformMatrix = nan 0 0"), &voxels, "not finite"),
         (change("NDims = 3", "NDims = 3\nElementNumberOfChannels = 3"), &voxels, "3 numbers for each voxel"),
         (change("NDims = 3", "NDims = 3\nDistanceUnits = um"), &voxels, "'um', expected mm"),
         (change("NDims = 3", "NDims = 3\nHeaderSize = -5"), &voxels, "'HeaderSize'"),
+        // Twenty bytes of something lie before the voxels: they were taken for the first ten.
+        (
+            change("NDims = 3", "NDims = 3\nHeaderSize = 20"),
+            &behind,
+            "'HeaderSize' of its header is 20, but 'ElementDataFile = LOCAL'",
+        ),
+        (change("NDims = 3", "NDims = 3\nHeaderSize = 20"), &voxels, "without HeaderSize"),
         (change("NDims = 3", "NDims = 3\nNDims = 3"), &voxels, "'NDims' twice"),
         (change("LOCAL", "LIST"), &voxels, "several files"),
         (change("LOCAL", "none.raw"), &voxels, "is not beside it"),
@@ -160,6 +168,12 @@ fn what_is_odd_but_can_be_read_is_said() {
     let (volume, warnings) = said("a.mha", &good.replace("TransformMatrix", "Comment"), &voxels);
     assert_eq!((volume.lps_from_voxel, warnings), (sample().lps_from_voxel, vec!["no orientation".to_owned()]));
     assert_eq!(said("a.mha", &good, &[&voxels[..], &[0; 9000]].concat()).1, ["more bytes"]);
+    // A header that says how long it is itself, or that it has no other, says nothing new.
+    let sized = good.replace("NDims = 3", "NDims = 3\nHeaderSize = 0000");
+    for header in [sized.replace("0000", &format!("{:04}", sized.len())), sized] {
+        let (volume, warnings) = said("a.mha", &header, &voxels);
+        assert_eq!((volume.lps_from_voxel, warnings.len()), (sample().lps_from_voxel, 0), "{header}");
+    }
     let micron = nrrd(END).replace("endian", "space units: \"um\" \"um\" \"um\"\nendian");
     let (volume, warnings) = said("a.nrrd", &micron, &voxels);
     assert!(volume.spacing_mm.iter().zip([0.002, 0.0025, 0.005]).all(|(found, mm)| (found - mm).abs() < 1e-12));

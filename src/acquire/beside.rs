@@ -63,7 +63,8 @@ impl Beside {
             return Self::only("the sidecar .json names no quantity");
         };
         let (domain, shown) = match quantity {
-            "intensity" | "counts" => (Domain::Linear, quantity),
+            // Parts of a signal, and their standard errors, over the unattenuated one.
+            "intensity" | "counts" | "scatter" => (Domain::Linear, quantity),
             "line_integral" => (Domain::Log, quantity),
             "area_density" => (Domain::Unknown, quantity),
             _ => (Domain::Unknown, "that is not known here"),

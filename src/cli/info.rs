@@ -1,6 +1,7 @@
 //! `sidecarm info FILE`: what a file is, and what this program makes of it.
 
 mod cameras;
+mod described;
 mod documents;
 mod found;
 mod frames;

@@ -12,6 +12,7 @@ use crate::cli::posed::posed;
 use crate::cli::scattered::{Asked, SCATTER_ERROR, ScatteredError, scattered, ways};
 use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice};
+use crate::render::plan::Executor;
 use crate::render::{
     Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, Scatter, explain_unseen, guessed_share, unsaid_skew,
     write_dicom, write_image, write_picture, written_with,
@@ -253,8 +254,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(wanted) = args.max_error
         && !(wanted >= plan.stated_error)
     {
-        let advice = if args.reference { "" } else { "; --device cpu reaches 5e-6, --reference 1e-7" };
-        return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
+        let (stated, adapter, advice) = (plan.stated_error, renderer.adapter(), what_reaches(wanted, plan.executor));
+        return Err(RenderCommandError::MaxError { wanted, stated, adapter, advice });
     }
     plan.predicted_ms = plan.predicted_ms.map(|ms| ms + network_ms);
     // A GPU's part is not predicted; a network's is known.
@@ -336,6 +337,16 @@ fn positive(flag: &'static str, value: f64) -> Result<f64, RenderCommandError> {
     if value > 0.0 && value.is_finite() { Ok(value) } else { Err(RenderCommandError::Goal { flag, value }) }
 }
 
+/// What keeps within `wanted`, where no plan of `executor` does.
+fn what_reaches(wanted: f64, executor: Executor) -> &'static str {
+    let does = |other: Executor| wanted >= other.stated_error();
+    match executor {
+        Executor::Wgsl if does(Executor::Cpu) => "; --device cpu reaches 5e-6, --reference 1e-7",
+        Executor::Wgsl | Executor::Cpu if does(Executor::Reference) => "; --reference reaches 1e-7",
+        _ => "; nothing reaches less than 1e-7, which --reference does",
+    }
+}
+
 /// What `--max-error` or `--budget-ms` asks for.
 fn goal(args: &RenderArgs) -> Result<Option<Goal>, RenderCommandError> {
     Ok(match (args.max_error, args.budget_ms) {
@@ -406,4 +417,31 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "share_guessed": rendered.guessed.as_ref().map(guessed_share),
         "notes": rendered.notes,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The CPU offered `--device cpu` for what it had just refused.
+    #[test]
+    fn only_what_reaches_an_error_is_offered_for_it() {
+        let [cpu, reference] = [Executor::Cpu, Executor::Reference].map(|executor| format!("{:e}", executor.stated_error()));
+        let mut cases = 0;
+        for (wanted, executor, offers) in [
+            (1e-4, Executor::Wgsl, [true, true]),
+            (4e-6, Executor::Wgsl, [false, true]),
+            (4e-6, Executor::Cpu, [false, true]),
+            (1e-9, Executor::Wgsl, [false, false]),
+            (1e-9, Executor::Cpu, [false, false]),
+            (1e-9, Executor::Reference, [false, false]),
+        ] {
+            let words = what_reaches(wanted, executor);
+            let offered = [words.contains(&format!("--device cpu reaches {cpu}")), !words.contains("nothing")];
+            assert_eq!(offered, offers, "{wanted:e} of {executor:?}: {words}");
+            assert!(words.contains(&reference) && words.contains("--reference"), "{words}");
+            cases += 1;
+        }
+        assert_eq!(cases, 6);
+    }
 }

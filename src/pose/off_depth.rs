@@ -19,12 +19,18 @@ struct OffDepth {
 }
 
 impl OffDepth {
-    /// `None` where accident explains it.
+    /// `None` where accident explains it; what cannot be told is said as well.
     fn words(self) -> Option<String> {
         let Self { own_mm, prior_mm, sigma_mm } = self;
         let off_mm = own_mm - prior_mm;
         let sigmas = off_mm.abs() / sigma_mm;
-        (sigmas > UNLIKELY_DEPTH).then(|| {
+        if sigmas.is_nan() {
+            return Some(format!(
+                "whether the beads are as far from the source as by the prior cannot be told: {own_mm:.0} mm, {prior_mm:.0} mm by the prior, standard \
+                 deviation {sigma_mm:.0} mm; check the prior"
+            ));
+        }
+        (!(sigmas <= UNLIKELY_DEPTH)).then(|| {
             format!(
                 "the beads are {:.0} mm {} the source than by the prior, {sigmas:.1} standard deviations along the beam: a picture that is {:.1} % {} \
                  than K says looks just so; where the console has enlarged or cropped it declare that (--console, \"console\" in a session), else check \
@@ -67,6 +73,17 @@ mod tests {
         }
         let farther = words(690.0, 15.0).unwrap_or_default();
         assert!(farther.contains("48 mm farther from the source") && farther.contains("7.0 % smaller"), "{farther}");
-        assert_eq!([words(604.0, 15.0), words(600.0, 17.0), words(f64::NAN, 15.0)], [None, None, None]);
+        assert_eq!([words(604.0, 15.0), words(600.0, 17.0)], [None, None]);
+    }
+
+    #[test]
+    fn a_depth_that_is_no_number_is_not_taken_for_the_prior_s() {
+        let mut cases = 0;
+        for (own_mm, sigma_mm) in [(f64::NAN, 15.0), (600.0, f64::NAN), (642.0, 0.0)] {
+            let words = OffDepth { own_mm, prior_mm: 642.0, sigma_mm }.words();
+            assert!(words.is_some_and(|words| words.contains("cannot be told")), "{own_mm} and {sigma_mm}");
+            cases += 1;
+        }
+        assert_eq!(cases, 3);
     }
 }

@@ -3,6 +3,7 @@
 use glam::DVec2;
 
 use super::SceneError;
+use super::builder::GIVE_DENSITY;
 use super::file::{BeamFile, DetectorFile, FieldFile, FocalSpotFile, IntensifierFile};
 use super::files::Files;
 use super::model::{Beam, Detector, Response};
@@ -200,7 +201,7 @@ fn dense(key: &str, name: &str, density: Option<f64>, files: &Files) -> Result<(
     let material = Material::parse(name).map_err(physics)?;
     let density = match density {
         Some(density) => density,
-        None => material.nominal_density_g_per_cm3().map_err(physics)?,
+        None => material.nominal_density_or(GIVE_DENSITY).map_err(physics)?,
     };
     Ok((material, density))
 }

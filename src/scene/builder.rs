@@ -12,6 +12,9 @@ use super::volumes::VolumeSource;
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
 
+/// What can be done about a material without a nominal density where a scene has a key for it.
+pub(super) const GIVE_DENSITY: &str = "give density_g_per_cm3";
+
 /// A scene while its objects are added.
 pub(super) struct Builder<'a> {
     pub scene: &'a mut Scene,
@@ -50,9 +53,9 @@ impl Builder<'_> {
         let density = match density {
             Some(density) if density > 0.0 && density <= 50.0 => density,
             Some(density) => return Err(self.value("density_g_per_cm3", density.to_string(), "above 0, at most 50 g/cm3")),
-            None => {
-                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?
-            }
+            None => material
+                .nominal_density_or(GIVE_DENSITY)
+                .map_err(|source| SceneError::Physics { place: self.place(key), source })?,
         };
         Ok((self.scene.material_index(material), density))
     }

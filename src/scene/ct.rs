@@ -365,7 +365,9 @@ impl Builder<'_> {
         let density_g_per_cm3 = match density {
             DensityFile::Hu => None,
             DensityFile::Nominal => Some(
-                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?,
+                material
+                    .nominal_density_or("say \"density\": \"hu\", or name one of `sidecarm materials` that has one")
+                    .map_err(|source| SceneError::Physics { place: self.place(key), source })?,
             ),
         };
         let index = local.iter().position(|known| *known == material).unwrap_or_else(|| {

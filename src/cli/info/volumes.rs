@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::found::{Found, InfoError, object};
-use super::frames;
+use super::{described, frames};
 use crate::scene::{SceneError, Triangle, mesh_unit_doubt, read_triangles, read_volume_facts};
 
 /// The scene's word on a file, as `info` says it.
@@ -45,10 +45,17 @@ pub(super) fn examine(path: &Path) -> Result<Found, InfoError> {
     let handed = axes[0].cross(axes[1]).dot(axes[2]);
     let row = |index: usize| [axes[0], axes[1], axes[2], matrix.translation].map(|column| column[index] + 0.0);
     let [low, high] = facts.range.unwrap_or([f32::NAN, f32::NAN]);
-    let mut notes = notes(low, high, facts.not_finite, &facts.spacing_mm, &facts.unit);
+    let dose = described::dose(path, facts.size);
+    let mut notes: Vec<String> = not_finite(facts.not_finite).into_iter().collect();
+    if dose.is_none() {
+        notes.extend(not_hu(low, high));
+    }
+    notes.extend(odd_spacing(&facts.spacing_mm, &facts.unit));
     notes.extend(facts.remarks);
     let found = json!({
         "format": facts.format.words(),
+        "quantity": dose,
+        "unit": dose.map(|_| "Gy"),
         "size": facts.size,
         "spacing_mm": facts.spacing_mm,
         "orientation": orientation(&axes.map(ras)),
@@ -75,23 +82,26 @@ fn kind_by_name(path: &Path) -> Option<&'static str> {
     }
 }
 
-/// What looks odd for a CT.
-fn notes(low: f32, high: f32, not_finite: u64, spacing_mm: &[f64; 3], units: &str) -> Vec<String> {
-    let mut notes = Vec::new();
-    if not_finite > 0 {
-        notes.push(format!("{not_finite} voxels are NaN or infinite"));
-    }
+fn not_finite(voxels: u64) -> Option<String> {
+    (voxels > 0).then(|| format!("{voxels} voxels are NaN or infinite"))
+}
+
+/// What looks odd for a CT's values.
+fn not_hu(low: f32, high: f32) -> Option<String> {
     if low >= 0.0 && high <= 255.0 {
-        notes.push("values lie within 0 and 255: labels or a fraction, not Hounsfield units".into());
+        Some("values lie within 0 and 255: labels or a fraction, not Hounsfield units".into())
     } else if low > -500.0 {
-        notes.push("no voxel is near −1000: perhaps not in Hounsfield units".into());
+        Some("no voxel is near −1000: perhaps not in Hounsfield units".into())
+    } else {
+        None
     }
-    if spacing_mm.iter().any(|&spacing| !(0.005..=50.0).contains(&spacing)) {
-        notes.push(format!(
-            "a voxel spacing of {spacing_mm:?} mm is unusual: metres or micrometres suspected (unit in the header: {units})"
-        ));
-    }
-    notes
+}
+
+fn odd_spacing(spacing_mm: &[f64; 3], units: &str) -> Option<String> {
+    let is_odd = spacing_mm.iter().any(|&spacing| !(0.005..=50.0).contains(&spacing));
+    is_odd.then(|| {
+        format!("a voxel spacing of {spacing_mm:?} mm is unusual: metres or micrometres suspected (unit in the header: {units})")
+    })
 }
 
 /// Letters of the anatomical direction that each voxel axis points to (towards right, left, anterior …), as RAS+.

@@ -88,7 +88,15 @@ impl Material {
     /// # Errors
     /// When there is none.
     pub fn nominal_density_g_per_cm3(&self) -> Result<f64, PhysicsError> {
-        self.density_g_per_cm3.ok_or_else(|| PhysicsError::NoDensity { name: self.name.clone() })
+        self.nominal_density_or("name one of `sidecarm materials` that has one")
+    }
+
+    /// The same, where something else can be done about a material that has none.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn nominal_density_or(&self, remedy: &'static str) -> Result<f64, PhysicsError> {
+        self.density_g_per_cm3.ok_or_else(|| PhysicsError::NoDensity { name: self.name.clone(), remedy })
     }
 
     /// Mass attenuation of the mixture: Σ w_i (μ/ρ)_i.

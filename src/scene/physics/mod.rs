@@ -53,10 +53,12 @@ pub enum PhysicsError {
         sum: f64,
     },
     /// The material has no nominal density.
-    #[error("material '{name}' has no nominal density, give density_g_per_cm3")]
+    #[error("material '{name}' has no nominal density, {remedy}")]
     NoDensity {
         /// The material.
         name: String,
+        /// What can be done where it is named.
+        remedy: &'static str,
     },
     /// The tube voltage is outside the tables.
     #[error("tube voltage {kvp} kV is outside the spectra ({from_kvp} to {to_kvp} kV)")]

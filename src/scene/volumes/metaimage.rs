@@ -139,7 +139,9 @@ fn placement(header: &Header, axes: usize, remarks: &mut Vec<Remark>) -> Result<
     let offset = header.numbers::<f64>(&["Offset", "Position", "Origin"], axes)?;
     let spacing: Vec<f64> = match header.numbers(&["ElementSpacing"], axes)? {
         Some(spacing) => spacing,
-        None => header.needed(&["ElementSize"], axes)?,
+        None => {
+            header.numbers::<f64>(&["ElementSize"], axes)?.ok_or("its header has neither 'ElementSpacing' nor 'ElementSize'")?
+        }
     };
     if let Some(mirrored) = spacing.iter().find(|spacing| **spacing < 0.0) {
         return Err(format!(
@@ -175,6 +177,14 @@ fn data_place(header: &Header, encoding: Encoding) -> Result<DataPlace, String> 
             "'HeaderSize' of its header is {skip}, expected 0 or more, or -1 for voxels that are not compressed"
         ));
     };
+    // From the start of the file, says ITK; others count from here.
+    if local && skip > 0 && skip != header.bytes {
+        return Err(format!(
+            "'HeaderSize' of its header is {skip}, but 'ElementDataFile = LOCAL' puts its voxels after {} bytes, right behind the header; \
+             save it again without HeaderSize",
+            header.bytes
+        ));
+    }
     // The size of another file's header counts from its start; that of this one is known.
     let skip_bytes = if local { header.bytes } else { skip };
     Ok(DataPlace { file: (!local).then(|| named.to_owned()), at_end, skip_bytes, skip_lines: 0, skip_decoded_bytes: 0 })

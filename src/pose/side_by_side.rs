@@ -4,7 +4,7 @@
 //! Flags are u64: columns of one width are seen not to overlap.
 
 use super::bead_triples::Windows;
-use super::support::{Seen, Supported};
+use super::support::{Seen, Supported, WIDE, part};
 use super::tables::Depths;
 use super::triangle::{Images, MOST_STEPS, Rough, Step, agree, are_finite};
 use crate::image::on_widest_vectors;
@@ -12,9 +12,7 @@ use crate::image::on_widest_vectors;
 /// Triples of beads in a block.
 const MOST: usize = 128;
 /// Depths: each has a pose and its twin.
-pub(super) const TWICE: usize = 2 * MOST;
-/// So many go together to the end of Newton's steps, and from bead to bead.
-pub(super) const WIDE: usize = 16;
+const TWICE: usize = 2 * MOST;
 
 /// See the module.
 pub(super) struct Block {
@@ -30,14 +28,14 @@ pub(super) struct Block {
 }
 
 /// Depths on their way to exact ones.
-pub(super) struct Starts {
-    pub count: usize,
-    pub beads: [[u32; 3]; TWICE],
+struct Starts {
+    count: usize,
+    beads: [[u32; 3]; TWICE],
     squares_mm2: [[f64; TWICE]; 3],
-    pub depths_mm: [[f64; TWICE]; 3],
+    depths_mm: [[f64; TWICE]; 3],
     stepped_mm: [[f64; TWICE]; 3],
     spread: [f64; TWICE],
-    pub counts: [u64; TWICE],
+    counts: [u64; TWICE],
     is_done: [u64; TWICE],
     is_too_long: [u64; TWICE],
 }
@@ -144,7 +142,9 @@ impl Block {
     /// Gives of those that are solved the ones that put at least so many other beads where a shadow may be near, and all before the camera.
     pub fn each_supported(&mut self, seen: &Seen, needed: usize, mut take: impl FnMut([usize; 3], [f64; 3])) {
         let starts = &mut self.starts;
-        on_widest_vectors(Supported { starts, seen, needed: needed as i64 });
+        let Starts { count, beads, depths_mm, counts, .. } = starts;
+        let depths_mm = depths_mm.each_ref().map(|column| &column[..]);
+        on_widest_vectors(Supported { count: *count, beads, depths_mm, counts, seen, needed: needed as i64 });
         starts.keep(|_, _| true);
         (0..starts.count).for_each(|n| take(starts.beads(n), starts.depths(n)));
     }
@@ -216,14 +216,6 @@ impl Starts {
 fn may_contain(widest: &[Depths; 3], depths_mm: [f64; 3], factor: f64) -> bool {
     let [first, second, third] = widest;
     first.may_contain(depths_mm[0], factor) & second.may_contain(depths_mm[1], factor) & third.may_contain(depths_mm[2], factor)
-}
-
-/// What one group takes of a column.
-#[inline(always)]
-pub(super) fn part<T: Copy + Default>(column: &[T; TWICE], first: usize) -> [T; WIDE] {
-    let mut own = [T::default(); WIDE];
-    own.copy_from_slice(&column[first..][..WIDE]);
-    own
 }
 
 /// All of so many, and what fills the last vector.

@@ -3,7 +3,6 @@
 use glam::{DMat3, DVec3};
 
 use super::occupancy::Occupancy;
-use super::side_by_side::{Starts, TWICE, WIDE, part};
 use super::tables::Target;
 use super::triangle::{Images, turn_and_shift};
 use crate::geometry::Intrinsics;
@@ -16,9 +15,25 @@ pub(super) struct Seen<'a> {
     pub shadows: &'a Occupancy,
 }
 
+/// So many go together from step to step, and from bead to bead: columns are as long as some times that.
+pub(super) const WIDE: usize = 16;
+
+/// What one group takes of a column.
+#[inline(always)]
+pub(super) fn part<T: Copy + Default>(column: &[T], first: usize) -> [T; WIDE] {
+    let mut own = [T::default(); WIDE];
+    own.copy_from_slice(&column[first..][..WIDE]);
+    own
+}
+
 /// Tells which exact depths put so many other beads where a shadow may be near, and all before the camera.
 pub(super) struct Supported<'b> {
-    pub starts: &'b mut Starts,
+    /// Triples with depths: the first of the columns.
+    pub count: usize,
+    pub beads: &'b [[u32; 3]],
+    pub depths_mm: [&'b [f64]; 3],
+    /// 1 where they do.
+    pub counts: &'b mut [u64],
     pub seen: &'b Seen<'b>,
     pub needed: i64,
 }
@@ -67,18 +82,18 @@ impl pulp::NullaryFnOnce for Supported<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { starts, seen: Seen { targets, images, intrinsics, shadows }, needed } = self;
-        let (images, intrinsics, count) = (**images, **intrinsics, starts.count.min(TWICE));
+        let Self { count, beads, depths_mm, counts, seen: Seen { targets, images, intrinsics, shadows }, needed } = self;
+        let (images, intrinsics, count) = (**images, **intrinsics, count.min(beads.len()));
         for first in (0..count).step_by(WIDE) {
             let (mut own, mut corners_mm) = ([[0u64; WIDE]; 3], [[[0.0; WIDE]; 3]; 3]);
-            for (l, beads) in starts.beads[first..][..WIDE].iter().enumerate() {
+            for (l, beads) in beads[first..][..WIDE].iter().enumerate() {
                 for (n, bead) in beads.iter().enumerate() {
                     let at = targets.get(*bead as usize).map_or(DVec3::ZERO, |target| target.lps_mm);
                     own[n][l] = u64::from(*bead);
                     (corners_mm[n][0][l], corners_mm[n][1][l], corners_mm[n][2][l]) = (at.x, at.y, at.z);
                 }
             }
-            let depths_mm = starts.depths_mm.each_ref().map(|column| part(column, first));
+            let depths_mm = depths_mm.map(|column| part(column, first));
             let poses = Poses::new(&corners_mm, &depths_mm, &images);
             // Others that may still be near a shadow; of what only fills the vector there are none.
             let mut left = [-1i64; WIDE];
@@ -105,7 +120,7 @@ impl pulp::NullaryFnOnce for Supported<'_> {
                     break;
                 }
             }
-            for (counts, left) in starts.counts[first..][..WIDE].iter_mut().zip(left) {
+            for (counts, left) in counts[first..][..WIDE].iter_mut().zip(left) {
                 *counts = u64::from(left >= needed);
             }
         }

@@ -37,7 +37,7 @@ pub(super) const ASKED: usize = 16;
 /// what lies between two of them fits better than either.
 const DOUBT: f64 = 0.5;
 /// A bead of which the model misses more than the noise is placed no better than to this share of a voxel's edges.
-const UNLIKE: f64 = 0.008;
+const UNLIKE: f64 = 0.005;
 /// Profiles that count less are left out.
 const LEAST_WEIGHT: f64 = 0.02;
 

@@ -22,8 +22,9 @@ use crate::transport::{
   sidecarm scatter scene.json --histories 1e8 --out scatter.tif --dose dose.nii.gz
 
 SCATTER.tif has eight pages: primary, compton_once, rayleigh_once, multiple, then their standard errors, in units of the unattenuated
-signal; an error is NaN where less came than ten contributions of one size, so that nobody knows it. Beside it lies SCATTER.tif.json (energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs,
-SCATTER.tif.checkpoint is kept up to date: the same command goes on from there. Without beam.field in the scene the field is the image.
+signal; an error is NaN where less came than ten contributions of one size, so that nobody knows it. Beside it lies SCATTER.tif.json
+(energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs, SCATTER.tif.checkpoint is kept up to date: the
+same command goes on from there. Without beam.field in the scene the field is the image.
 DOSE.nii.gz is in Gy of the exposure that photons_per_pixel asks for, on the grid of the CT, coarser where that has more than half a million
 voxels. Beside it lie its standard errors, DOSE.nii.gz.error.nii.gz, and DOSE.nii.gz.json (what a single photon leaves, and where the rest is).")]
 pub struct ScatterArgs {

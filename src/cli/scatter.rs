@@ -22,8 +22,9 @@ use crate::transport::{
   sidecarm scatter scene.json --histories 1e8 --out scatter.tif --dose dose.nii.gz
 
 SCATTER.tif has eight pages: primary, compton_once, rayleigh_once, multiple, then their standard errors, in units of the unattenuated
-signal. Beside it lies SCATTER.tif.json (energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs,
-SCATTER.tif.checkpoint is kept up to date: the same command goes on from there. Without beam.field in the scene the field is the image.
+signal; an error is NaN where less came than ten contributions of one size, so that nobody knows it. Beside it lies SCATTER.tif.json
+(energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs, SCATTER.tif.checkpoint is kept up to date: the
+same command goes on from there. Without beam.field in the scene the field is the image.
 DOSE.nii.gz is in Gy of the exposure that photons_per_pixel asks for, on the grid of the CT, coarser where that has more than half a million
 voxels. Beside it lie its standard errors, DOSE.nii.gz.error.nii.gz, and DOSE.nii.gz.json (what a single photon leaves, and where the rest is).")]
 pub struct ScatterArgs {
@@ -203,13 +204,15 @@ fn transport(
 
 fn line(args: &ScatterArgs, image: &ScatterImage, per_second: f64) -> String {
     let [columns, rows] = args.grid_px;
+    let error = if image.relative_error.is_finite() {
+        format!("median standard error of scatter {:.2} %", 100.0 * image.relative_error)
+    } else {
+        "to most pixels came too little scatter to tell its standard error".to_owned()
+    };
     format!(
-        "{}: {columns} x {rows} px, {:.3e} histories, scatter to primary {:.3}, median standard error of scatter {:.2} %\n{:.2e} \
-         histories per second",
+        "{}: {columns} x {rows} px, {:.3e} histories, scatter to primary {:.3}, {error}\n{per_second:.2e} histories per second",
         args.out.display(),
         image.histories as f64,
         image.scatter_to_primary(),
-        100.0 * image.relative_error,
-        per_second
     )
 }

@@ -252,21 +252,21 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
         Some(found) => found,
         None => (followed(&simulation, None, &asked, reporter)?, "cpu".to_owned()),
     };
-    let (histories, relative_error) = (tally.histories(), simulation.relative_error(&tally));
-    let is_short = histories >= MOST_HISTORIES || is_out_of_reach(histories, needed(histories, relative_error, rel_error));
+    let (histories, relative_error) = (tally.histories(), simulation.stated_error(&tally));
+    let in_all = needed(histories, simulation.relative_error(&tally), rel_error);
+    let is_short = histories >= MOST_HISTORIES || is_out_of_reach(histories, in_all);
     if is_short && !(relative_error <= rel_error) {
-        let (good, wanted) = (100.0 * relative_error, 100.0 * rel_error);
-        reporter.warn(
-            "scatter",
-            format_args!(
-                "after {histories} photons the scatter is good to {good:.2} % in the median cell; {wanted:.2} % is out of reach"
-            ),
-        );
+        let good = if relative_error.is_finite() {
+            format!("the scatter is good to {:.2} % in the median cell", 100.0 * relative_error)
+        } else {
+            "most cells saw too little scatter to tell how good it is".to_owned()
+        };
+        reporter.warn("scatter", format_args!("after {histories} photons {good}; {:.2} % is out of reach", 100.0 * rel_error));
     }
     let image = |pixels: Vec<f64>| Image { width: GRID_PX[0], height: GRID_PX[1], pixels };
     Ok(Scatter {
         signal: image(cells.clone().map(|cell| tally.scatter(cell).mean).collect()),
-        error: image(cells.map(|cell| tally.scatter(cell).standard_error).collect()),
+        error: image(cells.map(|cell| tally.scatter(cell).told().standard_error).collect()),
         unattenuated: image(simulation.unattenuated().to_vec()),
         from: Origin::Photons { histories, seed, device },
         relative_error,

@@ -115,6 +115,7 @@ pub fn page(scene: &Scene, quantity: Quantity, line_integral: &[f32], noise: &[f
         let clean = f64::from(-line_integral[pixel]).exp();
         clean + noise.get(pixel).map_or(0.0, |noise| f64::from(*noise))
     };
+    let is_whole = !noise.is_empty() && counts_by_itself(scene);
     let value = |pixel: usize| match quantity {
         Quantity::Intensity => intensity(pixel) as f32,
         Quantity::LineIntegral if noise.is_empty() => {
@@ -128,11 +129,27 @@ pub fn page(scene: &Scene, quantity: Quantity, line_integral: &[f32], noise: &[f
         },
         Quantity::Counts => {
             let air = flood.photons_per_pixel * f64::from(flood.photons[pixel]) * flood.response(pixel);
-            counts(scene, air * intensity(pixel), limits) as f32
+            let signal = air * intensity(pixel);
+            counts(scene, if is_whole { whole(signal) } else { signal }, limits) as f32
         }
         Quantity::AreaDensity => 0.0,
     };
     (0..line_integral.len()).into_par_iter().with_min_len(FEWEST_PX).map(value).collect()
+}
+
+/// Whether the noise of a pixel is that of photons that it counted, and no other's.
+fn counts_by_itself(scene: &Scene) -> bool {
+    let detector = &scene.detector;
+    let is_alone = detector.panel.blur_fwhm_mm == 0.0 && detector.crosstalk.len() <= 1 && detector.readout_noise.is_none();
+    detector.response == Response::Counting && is_alone
+}
+
+/// The photons that were drawn: mean and deviate, apart in f32, add up to them but for rounding. NaN stays NaN.
+fn whole(signal: f64) -> f64 {
+    match signal.round() {
+        none if none <= 0.0 => 0.0,
+        photons => photons,
+    }
 }
 
 /// gain · signal + offset, clipped and rounded as the panel does; NaN stays NaN.

@@ -22,13 +22,13 @@ const LIT: f64 = 0.9;
 pub struct Scatter {
     /// Mean over each cell, keV or photons per history.
     pub signal: Image<f64>,
-    /// Standard errors of `signal`.
+    /// Standard errors of `signal`; NaN where too little was seen to know it.
     pub error: Image<f64>,
     /// What a cell would detect with nothing in the beam and all of the panel open, in the unit of `signal`.
     pub unattenuated: Image<f64>,
     /// How it became known.
     pub from: Origin,
-    /// Median over the cells of the relative standard error; infinite where most saw none.
+    /// Median over the cells of the relative standard error; infinite where most saw too little to tell.
     pub relative_error: f64,
 }
 
@@ -61,7 +61,7 @@ pub struct Added {
     pub from: Origin,
     /// Columns and rows of the raster.
     pub grid_px: [usize; 2],
-    /// Median over its cells of the scatter's relative standard error; `None` where most saw none.
+    /// Median over its cells of the scatter's relative standard error; `None` where most saw too little to tell.
     pub relative_error: Option<f64>,
     /// Mean of scatter over mean of primary; `None` without primary.
     pub scatter_to_primary: Option<f64>,
@@ -90,7 +90,7 @@ impl Scatter {
             let of = if matches!(self.from, Origin::Photons { .. }) { "in the median" } else { "of their root mean square" };
             format!("good to {:.1} % {of}", 100.0 * self.relative_error)
         } else {
-            "most of which saw none".to_owned()
+            "most of which saw too little to tell how good they are".to_owned()
         };
         format!(
             "{by}, {width} x {height} cells {good}, cubic between them; what that leaves uncertain is added to the image's stated error; its \
@@ -188,10 +188,18 @@ impl Scatter {
         ratios[(LIT * (ratios.len() - 1) as f64) as usize]
     }
 
-    /// Variances of the cells; one that no photon told anything about is as uncertain as the others.
+    /// Variances of the cells; one that photons told too little about is as uncertain as the others, and as all that it has. Where all are such,
+    /// what any has may be missing in each.
     fn variances(&self) -> Vec<f64> {
-        let usual = median(self.error.pixels.iter().copied().filter(|error| *error > 0.0)).unwrap_or(0.0);
-        self.error.pixels.iter().map(|error| if *error > 0.0 { error * error } else { usual * usual }).collect()
+        let usual = median(self.error.pixels.iter().copied().filter(|error| *error > 0.0));
+        let untold = || self.error.pixels.iter().zip(&self.signal.pixels).filter(|(error, _)| error.is_nan());
+        let usual = usual.unwrap_or_else(|| untold().map(|(_, signal)| *signal).fold(0.0, f64::max));
+        let variance = |(error, signal): (&f64, &f64)| match *error {
+            known if known > 0.0 => known * known,
+            unknown if unknown.is_nan() => signal.max(usual).powi(2),
+            _ => usual * usual,
+        };
+        self.error.pixels.iter().zip(&self.signal.pixels).map(variance).collect()
     }
 
     /// Largest second difference along columns or rows, of an outermost cell that of its neighbour.
@@ -321,6 +329,23 @@ mod tests {
         // A single cell is the same everywhere.
         let one = Axis::new(4, 1);
         assert!(one.weights.iter().all(|weights| (weights.iter().map(|(_, weight)| weight).sum::<f64>() - 1.0).abs() < 1e-12));
+    }
+
+    /// A spike of which nobody knows the error is uncertain by all of itself, a cell that saw nothing as much as those that are known; without
+    /// any of these as much as the largest spike.
+    #[test]
+    fn what_too_little_was_seen_of_is_uncertain_by_all_of_it() {
+        let variances = |signal: [f64; 4], error: [f64; 4]| {
+            let image = |pixels: [f64; 4]| Image { width: 4, height: 1, pixels: pixels.to_vec() };
+            let from = Origin::Photons { histories: 1, seed: 1, device: "cpu".to_owned() };
+            let unattenuated = image([1.0; 4]);
+            Scatter { signal: image(signal), error: image(error), unattenuated, from, relative_error: 0.5 }.variances()
+        };
+        let unknown = f64::NAN;
+        assert_eq!(variances([8.0, 6.0, 1e-30, 4.0], [1.0, 0.5, unknown, unknown]), [1.0, 0.25, 1.0, 16.0]);
+        assert_eq!(variances([1e-30, 0.5, 0.0, 1e-9], [unknown; 4]), [0.25; 4]);
+        assert_eq!(variances([0.0; 4], [unknown; 4]), [0.0; 4]);
+        assert_eq!(variances([0.01; 4], [0.0; 4]), [0.0; 4]);
     }
 
     /// Exact moments: of quanta at 1 and 3, three at 1 from the primary behind half a collimator, two more with the beam's mean.

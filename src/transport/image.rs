@@ -16,17 +16,17 @@ use crate::scene::model::Scene;
 pub struct ScatterImage {
     /// By [`Page`]: signal over the unattenuated signal of the same pixel with all of the panel open.
     pub pages: Vec<Image<f64>>,
-    /// Their standard errors.
+    /// Their standard errors as the spread of batches has them, however little came: over many pixels their squares add up without bias.
     pub errors: Vec<Image<f64>>,
     /// All but the primary.
     pub scatter: Image<f64>,
-    /// Its standard error.
+    /// Its standard error, likewise.
     pub scatter_error: Image<f64>,
     /// Photons that were followed.
     pub histories: u64,
     /// By so many the errors are told.
     pub histories_per_batch: u64,
-    /// Median over the pixels of the scatter's relative standard error; infinite where most have no scatter.
+    /// Median over the pixels of the scatter's relative standard error; infinite where too little scatter came to tell it.
     pub relative_error: f64,
     /// Energy per history that stayed in each scene material, keV.
     pub absorbed_kev: Vec<Estimate>,
@@ -60,7 +60,7 @@ impl Simulation<'_> {
             scatter_error: image(&|pixel| tally.scatter(pixel).standard_error),
             histories: tally.histories(),
             histories_per_batch: tally.histories_per_batch,
-            relative_error: self.relative_error(tally),
+            relative_error: self.stated_error(tally),
             absorbed_kev: (0..self.materials()).map(|material| tally.absorbed(material)).collect(),
             started_kev: tally.fate(STARTED).mean,
             detected_kev: tally.fate(DETECTED).mean,
@@ -93,7 +93,8 @@ impl Simulation<'_> {
             "plan": {
                 "estimator": asked.estimator,
                 "histories_per_batch": image.histories_per_batch,
-                "stated_error": "median over the pixels of the relative standard error of all scatter",
+                "stated_error": "median over the pixels of the relative standard error of all scatter; null where too little came to \
+                                 tell it",
                 "scoring": "each pixel covers its share of the image area; expected: at every start and scattering the expected signal, \
                             directions to an even point of the image and the photon's own weighed by the balance heuristic",
                 "left_out": ["fluorescence", "Doppler broadening", "interference between atoms", "matter behind the detector",
@@ -132,12 +133,24 @@ impl ScatterImage {
         self.scatter.pixels.iter().sum::<f64>() / self.pages[Page::Primary as usize].pixels.iter().sum::<f64>()
     }
 
-    /// Writes the pages, then their standard errors, as 32-bit float TIFF, and `json` beside it.
+    /// The standard errors of the pages, pixel by pixel; NaN where nobody knows them ([`Estimate::told`]).
+    #[must_use]
+    pub fn told_errors(&self) -> Vec<Image<f64>> {
+        let of_pixel = |(mean, error): (&f64, &f64)| Estimate { mean: *mean, standard_error: *error }.told().standard_error;
+        let of_page = |(page, error): (&Image<f64>, &Image<f64>)| {
+            let pixels = page.pixels.iter().zip(&error.pixels).map(of_pixel).collect();
+            Image { width: page.width, height: page.height, pixels }
+        };
+        self.pages.iter().zip(&self.errors).map(of_page).collect()
+    }
+
+    /// Writes the pages, then their standard errors as far as they are known, as 32-bit float TIFF, and `json` beside it.
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn write(&self, path: &Path, json: &serde_json::Value) -> Result<(), TransportError> {
-        let pages: Vec<Image<f32>> = self.pages.iter().chain(&self.errors).map(|page| page.map(|value| *value as f32)).collect();
+        let errors = self.told_errors();
+        let pages: Vec<Image<f32>> = self.pages.iter().chain(&errors).map(|page| page.map(|value| *value as f32)).collect();
         write_tiff_f32(path, &pages)?;
         let text = serde_json::to_string_pretty(json).expect("plain data");
         write_atomically(&written_with(path)[1], |file| file.write_all(text.as_bytes()))?;

@@ -55,5 +55,5 @@ pub use rayleigh::Rayleigh;
 pub use scatter::scatter;
 pub use simulation::{BATCH, Histories, Simulation};
 pub use stream::Stream;
-pub use tally::{DETECTED, ESCAPED, Estimate, FATES, PAGE_NAMES, PAGES, Page, STARTED, Tally};
+pub use tally::{DETECTED, ESCAPED, Estimate, FATES, FEWEST, PAGE_NAMES, PAGES, Page, STARTED, Tally};
 pub use wgsl::{GpuTransport, GpuTransportError};

@@ -14,7 +14,7 @@ use super::panel::Panel;
 use super::rayleigh::Rayleigh;
 use super::source::Source;
 use super::stream::Stream;
-use super::tally::{Batch, Estimate, Tally};
+use super::tally::{Batch, Estimate, FEWEST, Tally};
 use crate::estimate::median;
 use crate::geometry::View;
 use crate::scene::model::{Formation, Matter, Scene};
@@ -179,11 +179,11 @@ impl<'a> Simulation<'a> {
     /// Whether all histories or the wanted precision are there.
     #[must_use]
     pub fn is_done(&self, tally: &Tally) -> bool {
-        let is_precise = || self.histories.rel_error.is_some_and(|wanted| self.relative_error(tally) <= wanted);
+        let is_precise = || self.histories.rel_error.is_some_and(|wanted| self.stated_error(tally) <= wanted);
         tally.batches >= self.batches() || tally.batches.is_multiple_of(self.batches_at_once()) && is_precise()
     }
 
-    /// Median over the pixels of the relative standard error of the scatter; infinite where most have none.
+    /// Median over the pixels of the relative standard error of the scatter, however little came; infinite where most have none.
     #[must_use]
     pub fn relative_error(&self, tally: &Tally) -> f64 {
         if tally.batches < 2 {
@@ -194,6 +194,13 @@ impl<'a> Simulation<'a> {
             if found.mean > 0.0 { found.standard_error / found.mean } else { f64::INFINITY }
         };
         median((0..self.unattenuated.len()).map(of_pixel)).unwrap_or(f64::INFINITY)
+    }
+
+    /// [`Self::relative_error`]; infinite where less came to the median pixel than tells it ([`Estimate::told`]).
+    #[must_use]
+    pub fn stated_error(&self, tally: &Tally) -> f64 {
+        let error = self.relative_error(tally);
+        if error * FEWEST.sqrt() <= 1.0 { error } else { f64::INFINITY }
     }
 
     /// Batches that run side by side: [`Simulation::advance`] takes at most so many.

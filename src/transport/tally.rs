@@ -118,6 +118,9 @@ struct DoseSums {
     within_squares: f64,
 }
 
+/// Contributions of one size below which nobody knows a standard error: one that is missing may be heavier than all that came.
+pub const FEWEST: f64 = 10.0;
+
 /// A mean over histories with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
@@ -125,6 +128,18 @@ pub struct Estimate {
     pub mean: f64,
     /// Its standard error; NaN after a single batch.
     pub standard_error: f64,
+}
+
+impl Estimate {
+    /// The same, its standard error NaN where less came than [`FEWEST`] contributions of one size, or nothing.
+    // n contributions of one size leave a relative error of 1/√n, and where one of many outweighs the rest it is 1: (mean/error)² is how
+    // many they are worth, whatever the number of batches. Behind dense matter all that comes may be 1e-30 ± 1e-30, and the truth 1e-7.
+    // Over many pixels the squares of errors as they are add up without bias; those of the told ones do not.
+    #[must_use]
+    pub fn told(self) -> Self {
+        let is_told = self.mean > 0.0 && self.mean >= FEWEST.sqrt() * self.standard_error;
+        if is_told { self } else { Self { standard_error: f64::NAN, ..self } }
+    }
 }
 
 impl Tally {
@@ -269,6 +284,38 @@ mod tests {
         assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
         assert_eq!(tally.scatter(0), found);
         assert_eq!(tally.signal(Page::Primary, 0).mean, 0.0);
+    }
+
+    /// Told from ten contributions of one size on, however many batches saw none. A single spike had an error as large as itself, and cells
+    /// that saw only what comes through everything one of 1e-30.
+    #[test]
+    fn an_error_is_told_once_enough_came() {
+        let found = |values: &[f64], batches: usize| {
+            let mut tally = Tally::new(1, 1, 10);
+            for number in 0..batches {
+                let mut batch = Batch::new(1, 1);
+                batch.detect(Page::Compton, 0, values.get(number).copied().unwrap_or(0.0));
+                tally.add(&batch);
+            }
+            tally.signal(Page::Compton, 0)
+        };
+        let mut outweighed = vec![1.0; 40];
+        outweighed.push(100.0);
+        for (values, batches, is_told) in [
+            (Vec::new(), 1000, false),
+            (vec![1e-3], 1000, false),
+            (vec![1e-30; 9], 1000, false),
+            (vec![1e-30; 11], 1000, true),
+            (vec![1.0; 40], 40, true),
+            (outweighed, 1000, false),
+            (vec![1.0], 1, false),
+        ] {
+            let as_it_is = found(&values, batches);
+            let told = as_it_is.told();
+            assert_eq!(told.mean, as_it_is.mean);
+            assert_eq!(told.standard_error.is_nan(), !is_told, "{values:?}: {as_it_is:?}");
+            assert!(!is_told || told == as_it_is);
+        }
     }
 
     /// A voxel's error is that of what batches bring to it, however many deposits that is.

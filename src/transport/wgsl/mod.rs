@@ -192,7 +192,7 @@ impl<'a> GpuTransport<'a> {
     #[must_use]
     pub fn is_done(&self, simulation: &Simulation, tally: &Tally) -> bool {
         let wanted = simulation.histories().rel_error;
-        tally.batches >= self.advances * BATCHES || wanted.is_some_and(|wanted| simulation.relative_error(tally) <= wanted)
+        tally.batches >= self.advances * BATCHES || wanted.is_some_and(|wanted| simulation.stated_error(tally) <= wanted)
     }
 
     /// The next [`BATCHES`], added to `tally`.

@@ -95,10 +95,16 @@ impl Noise {
     }
 }
 
+/// Fewer levels than these are no scale: a drawing, or a mask, has a few.
+const LEVELS: usize = 32;
+
 /// Step between the grey levels that occur, as nine in ten neighbours have it or more; next to nothing where values are not rounded.
 fn grey_step(mut greys: Vec<f32>) -> f64 {
     greys.par_sort_unstable_by(f32::total_cmp);
     greys.dedup();
+    if greys.len() < LEVELS {
+        return 0.0;
+    }
     let mut gaps: Vec<f32> = greys.windows(2).map(|pair| pair[1] - pair[0]).collect();
     if gaps.is_empty() {
         return 0.0;

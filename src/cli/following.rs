@@ -8,7 +8,7 @@ use crate::image::{ImageFileError, sha256_file};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::time::Stopwatch;
-use crate::transport::{Checkpoint, GpuTransport, GpuTransportError, Simulation, Tally, TransportError};
+use crate::transport::{Checkpoint, FEWEST, GpuTransport, GpuTransportError, Simulation, Tally, TransportError};
 
 /// What takes longer than this is announced.
 pub const LONG_MS: f64 = 10e3;
@@ -182,10 +182,10 @@ pub fn gpu_or_said<'a>(gpu: &'a Gpu, simulation: &Simulation, reporter: &Reporte
 }
 
 /// Photons in all after which scatter is known to `wanted`, where the first `histories` know it to `relative_error`: errors fall with their
-/// root. Infinite where most cells have seen none.
+/// root, and are not told before [`FEWEST`] contributions. Infinite where most cells have seen none.
 #[must_use]
 pub fn needed(histories: u64, relative_error: f64, wanted: f64) -> f64 {
-    histories as f64 * (relative_error / wanted).powi(2)
+    histories as f64 * (relative_error / wanted.min(1.0 / FEWEST.sqrt())).powi(2)
 }
 
 /// A time for people.

@@ -67,8 +67,8 @@ impl std::fmt::Display for Disagreement {
             ),
             Self::AboveAir { declared, share, times } => write!(
                 f,
-                "the air level {declared} is too low: {:.1} % of the frame reads {times:.2} times as much, and nothing in the beam gives at most \
-                 {ABOVE_AIR} times that by heel, gain and scatter; measure it without specimen, or leave it out",
+                "the air level {declared} is not this frame's: by it {:.1} % of the frame passes {times:.2} times what air does, where heel, gain and \
+                 scatter make at most {ABOVE_AIR} times of that; measure it without specimen, or leave it out",
                 100.0 * share
             ),
         }

@@ -119,6 +119,11 @@ impl Case<'_> {
         match lens.as_ref().and_then(|lens| lens.bends(self.request, &settled.solution)) {
             Some(Bends::AtPlace(words)) => cautions.doubt(words),
             Some(Bends::AtEdge(words)) => notes.push(words),
+            None if lens.is_none() && self.request.round_field.is_some() => cautions.doubt(
+                "the field is round, as an image intensifier's, and how far one would bend this picture cannot be told: give --distortion, or none \
+                 where the detector is flat (intensifier in a session)"
+                    .to_owned(),
+            ),
             None => {}
         }
         if matched < candidate.hypothesis.in_view {

@@ -38,8 +38,11 @@ impl Pose {
         if let Refusal::TooFewShadows { hidden_by, .. } = refusal {
             *hidden_by = std::mem::take(&mut hiding);
         }
+        // What was said besides the refusal stays.
+        let told = self.reason.take().filter(|_| !matches!(refusal, Refusal::TooFewShadows { .. }));
         let besides = hiding.into_iter().chain(besides.into_iter().flatten());
-        self.reason = Some(std::iter::once(refusal.to_string()).chain(besides).collect::<Vec<_>>().join("; "));
+        let words: Vec<String> = std::iter::once(told.unwrap_or_else(|| refusal.to_string())).chain(besides).collect();
+        self.reason = Some(words.join("; "));
     }
 
     /// Whether it is refused, and K, as given, is not that of the frame's own header: that comes before whatever the refusal is about.

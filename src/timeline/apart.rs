@@ -32,43 +32,47 @@ impl Known {
     /// Of which exposures the images of a file are that names the one at `shot`.
     pub(super) fn images_of(&self, said: &FrameEvidence, shot: usize, timeline: &Timeline) -> Images {
         let count = said.image_of_file[1] as usize;
-        let Some(exposure) = timeline.exposure(self.shots.get(shot).index).filter(|exposure| exposure.samples > 0) else {
+        let Some(exposure) = timeline.exposure(self.shots.get(shot).index).filter(|_| count > 1) else {
             return Images::OfOne;
         };
-        if count <= 1 {
-            return Images::OfOne;
-        }
+        // Of an exposure of which only the counter tells that is the most.
         let beam_us = exposure.end_us.saturating_sub(exposure.start_us);
         let times_us = Self::image_times_us(said, count);
         let run_us = times_us.as_ref().and_then(|times_us| times_us.last().copied());
-        let outlasts = run_us.is_some_and(|us| us > LONGER.saturating_mul(beam_us).saturating_add(LONGER_US));
-        if !outlasts && (run_us.is_some() || beam_us >= LONG_BEAM_US) {
-            return Images::OfOne;
-        }
         let came = |at: usize| said.arrival_us.is_none_or(|arrival_us| self.shots.get(at).over_us <= arrival_us);
         let waits = |at: usize| came(at) && self.shots.get(at).frame.is_none_or(|frame| frame == said.frame);
         let from = shot.saturating_sub(count - 1);
-        let mut series = (from..=shot).filter(|first| first + count <= self.shots.len() && (*first..first + count).all(waits));
+        let series = (from..=shot).filter(|first| first + count <= self.shots.len() && (*first..first + count).all(waits));
+        let series: Vec<usize> = series.collect();
         let middle_us = |at: usize| {
             let shot = self.shots.get(at);
             shot.start_us.saturating_add(shot.end_us.saturating_sub(shot.start_us) / 2)
         };
-        let Some(times_us) = times_us.filter(|_| outlasts) else {
+        let fits = |times_us: &[i64], first: usize| {
+            let off_us =
+                |(image, at_us): (usize, &i64)| middle_us(first + image).saturating_sub(middle_us(first)).saturating_sub(*at_us);
+            times_us.iter().enumerate().all(|image| off_us(image).saturating_abs() <= BESIDE_US)
+        };
+        let fitting: Vec<usize> = match &times_us {
+            Some(times_us) => series.iter().copied().filter(|first| fits(times_us, *first)).collect(),
+            None => Vec::new(),
+        };
+        // One that goes on after its beam, just as a series would, may be that.
+        let outlasts = run_us.is_some_and(|us| {
+            us > LONGER.saturating_mul(beam_us).saturating_add(LONGER_US)
+                || us > beam_us.saturating_add(BESIDE_US) && !fitting.is_empty()
+        });
+        if !outlasts {
             let near = |first: &usize| middle_us(first + count - 1).saturating_sub(middle_us(*first)) <= SERIES_US;
-            if !series.any(|first| near(&first)) {
+            let is_long = exposure.samples > 0 && beam_us >= LONG_BEAM_US;
+            if run_us.is_some() || is_long || !series.iter().any(near) {
                 return Images::OfOne;
             }
             return Images::Untold(format!(
                 "one file of {count} images came when {count} exposures waited for a picture, and it does not say how long after each other \
                  they were taken: each may be of its own exposure: ambiguous"
             ));
-        };
-        let fits = |first: &usize| {
-            let off_us =
-                |(image, at_us): (usize, &i64)| middle_us(first + image).saturating_sub(middle_us(*first)).saturating_sub(*at_us);
-            times_us.iter().enumerate().all(|image| off_us(image).saturating_abs() <= BESIDE_US)
-        };
-        let fitting: Vec<usize> = series.filter(fits).collect();
+        }
         let hidden = |first: usize| {
             let (from, to) = (self.shots.get(first), self.shots.get(first + count - 1));
             timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()

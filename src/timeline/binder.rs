@@ -16,11 +16,9 @@ use super::evidence::{Binding, BindingFlag, FrameEvidence, flags_of, time_within
 use super::judgement::{Judgement, Weighed};
 use super::known::{Known, MINUTE_US, Pending};
 use super::series::SeriesStamps;
-use super::shots::{BATCH_US, PROMPT_US, was_on};
+use super::shots::{BATCH_US, PATIENCE_US, PROMPT_US, was_on};
 use crate::telemetry::DeviceKind;
 
-/// A frame whose telemetry has not come after this long is judged without it.
-const PATIENCE_US: i64 = 1_000_000;
 /// Frames without an exposure that are looked at as a batch, and how many more there must be until that is done again.
 const ALIGNED: usize = 8;
 const ALIGN_STEP: usize = 4;

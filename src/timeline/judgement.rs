@@ -6,7 +6,7 @@ use super::Timeline;
 use super::counting::Firmness;
 use super::evidence::BindingHow;
 use super::known::{Known, Pending};
-use super::shots::{BATCH_US, was_on};
+use super::shots::{BATCH_US, PATIENCE_US, was_on};
 
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
 const SOON_US: i64 = 4_000_000;
@@ -48,7 +48,9 @@ impl Weighed<'_> {
         if self.pending.prompt.is_none() && self.came_before_the_end() {
             return Judgement::Wait("an exposure was on when the frame arrived, and has not ended yet".to_owned());
         }
-        if !self.known.finished && self.known.shots.awaits_unseen(self.timeline.exposure_tracker()) {
+        // Not for one that falls silent once more.
+        let is_told = self.newest_us.is_some_and(|newest_us| self.now_us.saturating_sub(newest_us) < PATIENCE_US);
+        if !self.known.finished && is_told && self.known.shots.awaits_unseen(self.timeline.exposure_tracker()) {
             return Judgement::Wait("telemetry has just told of exposures that it did not see".to_owned());
         }
         if self.known.shots.len() == 0 {

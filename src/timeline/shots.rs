@@ -11,6 +11,8 @@ const LEAST_DELAY_US: i64 = 50_000;
 pub(super) const PROMPT_US: i64 = 6_000_000;
 /// Frames within this time of each other may be of a batch.
 pub(super) const BATCH_US: i64 = 800_000;
+/// A frame whose telemetry has not come after this long is judged without it.
+pub(super) const PATIENCE_US: i64 = 1_000_000;
 /// An exposure of which only the counter tells may still turn out to be the one that begins now.
 const UNSEEN_GRACE_US: i64 = 500_000;
 

@@ -1,7 +1,6 @@
 //! A frame whose stamp tells, once the console's offset is known: which exposures it fits, and whether it is to be believed.
 
-use std::collections::BTreeSet;
-
+use super::console::ConsoleOffset;
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
 use super::judgement::{Judgement, Weighed, none};
@@ -14,9 +13,11 @@ const ORDER_US: i64 = 20_000_000;
 /// Stamps after a frame whose counter contradicts its stamp that must fit on before the stamp is believed.
 const FITTING: usize = 3;
 /// Frames that confirm the console's clock from which on its stamp is believed where another exposure waits as well.
-const CONFIRMED: u32 = 5;
+const CONFIRMED: usize = 5;
 /// The same where its counter contradicts the stamp.
 const CONFIRMED_TWICE: usize = 8;
+/// Stamps before one, and after it, that are asked.
+const BESIDE: usize = 24;
 /// Frames with stamps right before and right after one, each, that show whether the counter began anew there.
 const WITNESSES: usize = 3;
 /// Stamps within this time of each other show whether the clock was set.
@@ -149,19 +150,26 @@ impl Weighed<'_> {
         })
     }
 
-    /// Why the stamp alone does not stand against what else there is: fewer than `needed` frames confirm the console's clock, those that it gave
-    /// their exposures and those whose stamps fit one by it, or too many fit none.
+    /// Why the stamp alone does not stand against what else there is: fewer than `needed` frames confirm the console's clock as it was then, those
+    /// that it gave their exposures and those next to it whose stamps fit one by it, or too many fit none.
     fn few_confirm(&self, at: usize, needed: usize) -> Option<String> {
-        let clock = self.known.clock().filter(|clock| clock.frames < CONFIRMED)?;
-        let mut seen = BTreeSet::from([self.pending.evidence.console_us]);
-        let (mut confirming, mut lost) = (clock.frames as usize, 0);
-        for other in self.known.open.iter().filter_map(|frame| self.known.frames.get(frame)) {
+        let said = &self.pending.evidence;
+        let (console_us, pair) = (said.console_us?, self.known.pair(said, at)?);
+        let clocks = self.known.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(ConsoleOffset::summary);
+        let mut confirming = clocks.map(|clock| clock.frames as usize).max().unwrap_or(0);
+        if confirming >= needed {
+            return None;
+        }
+        let (before, after) =
+            (self.known.by_stamp.range(..console_us).rev(), self.known.by_stamp.range(console_us.saturating_add(1)..));
+        let mut lost = 0;
+        for (_, frames) in before.take(BESIDE).chain(after.take(BESIDE)) {
             // Frames of one series may have one stamp.
-            let Some(stamp) = self.fitting(&other.evidence).filter(|_| seen.insert(other.evidence.console_us)) else { continue };
-            let blind = || self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
+            let open = frames.iter().find(|frame| self.known.open.contains(frame));
+            let Some(stamp) = open.and_then(|frame| self.fitting(&self.known.frames.get(frame)?.evidence)) else { continue };
             if !stamp.fitting.is_empty() {
                 confirming += 1;
-            } else if !blind() {
+            } else if self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_none() {
                 lost += 1;
             }
         }
@@ -317,7 +325,7 @@ impl Weighed<'_> {
                 if self.usual_delay_us().is_none()
                     && prompt.contains(at)
                     && prompt.iter().any(waits)
-                    && let Some(few) = self.few_confirm(*at, CONFIRMED as usize)
+                    && let Some(few) = self.few_confirm(*at, CONFIRMED)
                 {
                     words.push(few);
                     return none(words);

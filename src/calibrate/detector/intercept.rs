@@ -56,7 +56,15 @@ pub(super) fn refined(
             best = Some((line.intercept, line.sigma, largest));
         }
     }
-    let offset = of_exposures(best)?;
+    let Some(best) = best else {
+        notes.push(format!(
+            "no dark frames: one offset of {:.2} ± {:.2} for all pixels, by the medians of the frames: without those that were left out no beam has \
+             three different exposures (mAs), so it is less sure than that; take two dark frames",
+            first.median, first.sigma
+        ));
+        return Ok(Offset { map: None, readout_sigma: None, temporal: None, saturated: first.saturated.clone(), ..*first });
+    };
+    let offset = of_exposures(Some(best))?;
     notes.push(format!(
         "no dark frames: one offset of {:.2} ± {:.2} for all pixels, from where the signal of the exposures vanishes if their mAs are true; \
          hot pixels are not found",

@@ -137,7 +137,7 @@ pub(super) fn find(
     }
     if let Some(share) = common {
         notes.push(format!(
-            "{}: in doubt, noise is common to whole lines of pixels: the gain may be too large by {:.1} %, which its sigma includes",
+            "{}: in doubt, noise is common to whole lines of pixels: the gain may be wrong by {:.1} %, which its sigma includes",
             beam(),
             100.0 * share
         ));
@@ -168,9 +168,10 @@ fn common_to_lines(correlations: &[f64], shares: impl Fn(usize) -> bool) -> Resu
     let lines: Vec<usize> =
         ends.filter(|(near, far)| shares(*far) && strength(far) > SPREAD_SHARE * strength(near)).map(|(_, far)| far).collect();
     let share = |far: &usize| 2.0 * REACH_PX as f64 * strength(far);
+    let all = lines.iter().map(share).sum::<f64>();
     match lines.iter().copied().max_by(stronger) {
-        Some(far) if !(share(&far) <= LINES_MOST) => Err((neighbours[far], correlations[far])),
-        worst => Ok(worst.map(|_| lines.iter().map(share).sum())),
+        Some(far) if !(all <= LINES_MOST) => Err((neighbours[far], correlations[far])),
+        worst => Ok(worst.map(|_| all)),
     }
 }
 

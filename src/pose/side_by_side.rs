@@ -376,7 +376,7 @@ mod tests {
             let target = |lps_mm: &DVec3| Target { lps_mm: *lps_mm, sigma_mm: 0.1, place_mm2: DMat3::IDENTITY, radius_mm: None };
             let targets: Vec<Target> = places.iter().map(target).collect();
             let shadows = others.map(|p| Detection { image_px: intrinsics.project(p), ..Detection::default() });
-            let shadows = Occupancy::new(&shadows, 12.0);
+            let shadows = Occupancy::new(&shadows, 24.0);
             let images = Images::new(at.map(|p| DVec2::new(p.x / p.z, p.y / p.z)));
             let window = |bead: usize, n: usize| match round % 3 {
                 0 => Depths { near: 450.0, far: 900.0 },

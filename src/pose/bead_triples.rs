@@ -61,7 +61,7 @@ impl<'t> BeadTriples<'t> {
         let off_mm = ROUNDING * MOST_OFF * tables.longest_mm;
         for (side, (p, q)) in SIDES.into_iter().enumerate() {
             let nearest = |one: usize, other: usize| -> Vec<f64> {
-                let sine = images.to_ray(one, other);
+                let sine = images.off_ray(one, other);
                 let square = |window: &Depths| (window.near * sine - off_mm).max(0.0).powi(2);
                 windows.own[one].iter().map(square).collect()
             };

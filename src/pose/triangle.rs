@@ -52,7 +52,7 @@ impl Images {
     }
 
     /// Distance from the place of `one` at a depth of 1 mm to the ray of `other`.
-    pub fn to_ray(&self, one: usize, other: usize) -> f64 {
+    pub fn off_ray(&self, one: usize, other: usize) -> f64 {
         self.ray(one).cross(self.ray(other)).length() / self.ray(other).length()
     }
 

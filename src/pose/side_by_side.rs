@@ -360,7 +360,7 @@ mod tests {
         let intrinsics = Intrinsics { fx: 3500.0, fy: 3490.0, skew: 0.3, cx: 511.5, cy: 500.5 };
         let mut block = Block::new();
         let (mut solved, mut supported, mut unsupported) = (0, 0, 0);
-        for round in 0..60 {
+        for round in 0..60usize {
             let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
             let mut place = |z: f64| DVec3::new(between(-70.0, 70.0), between(-70.0, 70.0), between(-70.0, 70.0) + z);
             let places: Vec<DVec3> = (0..9).map(|_| place(0.0)).collect();
@@ -368,7 +368,7 @@ mod tests {
             let target = |lps_mm: &DVec3| Target { lps_mm: *lps_mm, sigma_mm: 0.1, place_mm2: DMat3::IDENTITY, radius_mm: None };
             let targets: Vec<Target> = places.iter().map(target).collect();
             let shadows = others.map(|p| Detection { image_px: intrinsics.project(p), ..Detection::default() });
-            let shadows = Occupancy::new(&shadows, 12.0);
+            let shadows = Occupancy::new(&shadows, 24.0);
             let images = Images::new(at.map(|p| DVec2::new(p.x / p.z, p.y / p.z)));
             let window = |bead: usize, n: usize| match round % 3 {
                 0 => Depths { near: 450.0, far: 900.0 },
@@ -399,7 +399,7 @@ mod tests {
             };
             assert_eq!(of_block(&block), alone, "round {round}");
             solved += alone.len();
-            if round % 2 == 0 {
+            if round.is_multiple_of(2) {
                 let is_wanted = |beads: [usize; 3], depths: [f64; 3]| beads[1].is_multiple_of(2) && depths[0] < 800.0;
                 block.retain(is_wanted);
                 alone.retain(|(beads, depths)| is_wanted(*beads, *depths));

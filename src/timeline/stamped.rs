@@ -138,10 +138,9 @@ impl Weighed<'_> {
     /// Why a frame that came after the exposure at `at`, as its stamp says, is not believed to be of it: it came sooner than frames do, so it was
     /// in the making before, and its stamp is of when it was exported, or of another room's exposure.
     fn came_too_soon(&self, at: usize) -> Option<String> {
-        let (said, shots) = (&self.pending.evidence, &self.known.shots);
-        let (arrival_us, usual_us) = (said.arrival_us?, self.usual_delay_us()?);
-        let after_us = arrival_us.saturating_sub(shots.get(at).over_us);
-        (after_us < *usual_us.start() && !self.known.was_on_for(said, at)).then(|| {
+        let (arrival_us, usual_us) = (self.pending.evidence.arrival_us?, self.usual_delay_us()?);
+        let after_us = arrival_us.saturating_sub(self.known.shots.get(at).over_us);
+        (after_us < *usual_us.start()).then(|| {
             let (after, from, to) = (seconds(after_us), seconds(*usual_us.start()), seconds(*usual_us.end()));
             format!(
                 "it came {after} after {}, which its stamp names, others come after {from} to {to}: ambiguous",

@@ -49,19 +49,21 @@ pub(super) struct OtherFocal {
 
 impl Focal {
     /// The header's, where it is another than this: one rule for poses that are accepted and refused. `None` where the header has no distance,
-    /// or nobody knows a pitch.
+    /// or nobody knows a pitch, or the distance over K's own gives K.
     pub(super) fn other_by(&self, frame: &Frame) -> Option<OtherFocal> {
         let sid_mm = frame.tags.sid_mm.filter(|sid_mm| *sid_mm > 0.0)?;
+        let off = |header_px: f64| self.px / header_px - 1.0;
+        let differs = |header_px: f64| !(off(header_px).abs() <= OFF_HEADER.max(OFF_SIGMAS * self.sigma_px / header_px));
+        // Consoles that bin or enlarge leave the header's pixels as they were; those that K comes with are the frame's.
+        let own_pitch_mm = self.pitch_mm.filter(|pitch_mm| *pitch_mm > 0.0);
+        if own_pitch_mm.is_some_and(|pitch_mm| !differs(sid_mm / pitch_mm)) {
+            return None;
+        }
         let (header_px, own_pitch_mm) = match intrinsics_of(frame) {
             Some((header, ..)) => (header.fx, None),
-            None => {
-                let pitch_mm = self.pitch_mm.filter(|pitch_mm| *pitch_mm > 0.0)?;
-                (sid_mm / pitch_mm, Some(pitch_mm))
-            }
+            None => (sid_mm / own_pitch_mm?, own_pitch_mm),
         };
-        let off = self.px / header_px - 1.0;
-        let differs = !(off.abs() <= OFF_HEADER.max(OFF_SIGMAS * self.sigma_px / header_px));
-        differs.then_some(OtherFocal { header_px, sid_mm, own_pitch_mm, off })
+        differs(header_px).then_some(OtherFocal { header_px, sid_mm, own_pitch_mm, off: off(header_px) })
     }
 }
 
@@ -227,9 +229,10 @@ mod tests {
         };
         let words = told(Some(900.0), None, Some(0.2), 0.0).unwrap_or_default();
         assert!(words.contains("4500 px (SID 900 mm over K's own pitch of 0.200 mm), K as given is 11.1 % longer"), "{words}");
-        // Its own spacing goes before K's.
-        let words = told(Some(900.0), Some(0.25), Some(0.18), 0.0).unwrap_or_default();
+        // Its own spacing goes before K's, unless it is of before a console binned the picture.
+        let words = told(Some(900.0), Some(0.25), Some(0.3), 0.0).unwrap_or_default();
         assert!(words.contains("3600 px (SID 900 mm), K as given is 38.9 % longer"), "{words}");
+        assert_eq!(told(Some(900.0), Some(0.09), Some(0.18), 0.0), None, "binned by two");
         for (sid_mm, own_mm, sigma_px) in [
             (Some(900.0), None, 0.0),
             (None, Some(0.2), 0.0),

@@ -73,11 +73,8 @@ impl KnownK {
                 ..ChosenK::default()
             },
             (None, None) => {
-                // What telemetry measures of an exposure is laid beside its header with all else that it tells; and a console that bins leaves the
-                // header's pixels as they were.
-                let is_as_stored = frame.correction.as_ref().is_none_or(|correction| correction.stored.is_none());
-                let unmeasured = of_arm.filter(|_| !is_measured && is_as_stored);
-                let focal = unmeasured.map(|k| Focal { px: k.fx, sigma_px: 0.0, pitch_mm: arm_pitch_mm });
+                // What telemetry measures of an exposure is laid beside its header with all else that it tells.
+                let focal = of_arm.filter(|_| !is_measured).map(|k| Focal { px: k.fx, sigma_px: 0.0, pitch_mm: arm_pitch_mm });
                 ChosenK {
                     intrinsics: of_arm,
                     pitch_mm: arm_pitch_mm,

@@ -98,7 +98,8 @@ fn centres_are_as_good_as_their_covariance_says() {
     assert!((0.8..=1.2).contains(&spread(&pulls)), "{}", spread(&pulls));
     let (errors, muscle_pulls): (Vec<f64>, Vec<f64>) = in_muscle.into_iter().unzip();
     assert!(errors.len() > 60 && spread(&errors) < 0.02, "{} mm in muscle", spread(&errors));
-    // Where nothing but the slices' profile is in doubt, what that doubt adds makes a sigma a little wide.
+    // It is 0.79: where nothing but the slices' profile is in doubt, what that doubt adds makes a sigma a little wide. An rms of so few is good
+    // to 9 %.
     assert!((0.75..=1.2).contains(&spread(&muscle_pulls)), "{}", spread(&muscle_pulls));
 }
 

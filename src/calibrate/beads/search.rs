@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::fit::{Ball, Fitted, Prior, Priors, Problem};
 use super::judge::{NotBead, at_sight, of_fit};
 use super::lumps::{Lump, METAL_HU, lumps, summits};
-use super::slices::{ASKED, Trial, choose, doubt, slice_axis};
+use super::slices::{ASKED, PROFILES, Trial, choose, doubt, slice_axis};
 use super::sphere::{SliceProfile, VoxelPoints};
 use super::window::{Candidate, Window, window};
 use crate::geometry::VoxelGrid;
@@ -33,8 +33,8 @@ const MOST_FITTED: usize = 1500;
 /// A given radius is contradicted when the beads' own differs by more than this share, and by so many of its σ.
 const CONTRADICTED: f64 = 0.15;
 const CONTRADICTED_SIGMAS: f64 = 3.0;
-/// So often each of a few candidates is fitted: eighteen profiles, four rounds, and the doubt.
-const FITS_EACH: usize = 28;
+/// So often each of a few candidates is fitted: under each profile, in four rounds, and for the doubt.
+const FITS_EACH: usize = PROFILES.len() + 10;
 /// Summits of one lump are beads only where the value between them falls below this share of the lower one's.
 const DIP: f64 = 0.8;
 

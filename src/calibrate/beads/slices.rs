@@ -5,11 +5,12 @@ use glam::{DMat3, DVec3};
 
 use super::fit::Fitted;
 use super::sphere::SliceProfile;
+use crate::estimate::median;
 use crate::geometry::VoxelGrid;
 
 /// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians, and boxes that are
 /// sharper than the plane. Of equals the first counts.
-const PROFILES: [SliceProfile; 18] = [
+pub(super) const PROFILES: [SliceProfile; 18] = [
     SliceProfile::BOX,
     SliceProfile::smooth(0.5, 0.0),
     SliceProfile::smooth(1.5, 0.0),
@@ -36,6 +37,9 @@ pub(super) const ASKED: usize = 16;
 /// A profile whose misfit is larger than the best one's by this share counts e⁻¹: no profile of a scanner is exactly one of these, and
 /// what lies between two of them fits better than either.
 const DOUBT: f64 = 0.5;
+/// Of what is taken out along the normal the plane is blurred by this much at least: the series is 6 % of a slice off there, and has lobes below
+/// zero soon after.
+const LEFT: f64 = 1.2;
 /// A bead of which the model misses more than the noise is placed no better than to this share of a voxel's edges.
 const UNLIKE: f64 = 0.005;
 /// Profiles that count less are left out.
@@ -62,9 +66,18 @@ pub(super) fn choose(fit: impl Fn(SliceProfile) -> Vec<Option<Fitted>>) -> Vec<T
     // Per bead the least misfit under any profile counts 1: a bead on a bone's edge has as much say as one in muscle.
     let missed =
         |fits: &[Option<Fitted>], bead: usize| fits[bead].as_ref().map_or(f64::INFINITY, |fitted| fitted.missed_sigmas.max(1.0));
-    let excess: Vec<f64> = fits
+    // Where less blur is left in the plane than is taken out along the normal, there is no such profile.
+    let can_be = |profile: &SliceProfile, of_profile: &[Option<Fitted>]| {
+        let blurs_mm = in_all.iter().filter_map(|bead| of_profile[*bead].as_ref()).map(|fitted| fitted.ball.blur_mm);
+        profile.sharper_mm == 0.0 || median(blurs_mm).is_some_and(|blur_mm| blur_mm >= LEFT * profile.sharper_mm)
+    };
+    let excess: Vec<f64> = PROFILES
         .iter()
-        .map(|of_profile| {
+        .zip(&fits)
+        .map(|(profile, of_profile)| {
+            if !can_be(profile, of_profile) {
+                return f64::INFINITY;
+            }
             let logs = in_all.iter().map(|bead| {
                 let least = fits.iter().map(|fits| missed(fits, *bead)).fold(f64::INFINITY, f64::min);
                 (missed(of_profile, *bead) / least).ln()

@@ -258,7 +258,8 @@ mod tests {
             let gauss = |x: f64| (-0.5 * (x / blur).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * blur);
             let seen: f64 = nodes.iter().map(|(x, weight)| weight * gauss(z + x * thick)).sum();
             let truth = (cdf(z + 0.5 * thick) - cdf(z - 0.5 * thick)) / thick;
-            assert!((seen - truth).abs() < 0.02, "{z} mm: {seen} {truth}");
+            // Without the last term of the series it would be 0.015 off.
+            assert!((seen - truth).abs() < 0.01, "{z} mm: {seen} {truth}");
             let plain: f64 = SliceProfile::BOX.nodes(thick).iter().map(|(x, weight)| weight * gauss(z + x * thick)).sum();
             apart = apart.max((plain - truth).abs());
         }

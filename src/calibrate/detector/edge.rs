@@ -1,8 +1,8 @@
 //! Presampled MTF from a slanted edge (after IEC 62220-1): rows at an angle to the grid sample the edge finer than the pixels do.
 
-use super::fourier::{Complex, transform};
 use crate::acquire::EdgeMtf;
 use crate::image::Image;
+use crate::image::fourier::{Complex, transform};
 
 /// Samples of the edge profile per pixel.
 const OVERSAMPLING: f64 = 8.0;

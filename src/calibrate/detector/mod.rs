@@ -16,7 +16,6 @@ mod air;
 mod bad_pixels;
 mod edge;
 mod error;
-mod fourier;
 mod groups;
 mod intercept;
 mod measurement;
@@ -46,9 +45,10 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     check_filtration(measurement.filter.as_deref(), &groups)?;
     let mut offset = offset::find(&measurement.dark, &groups, saturation, &mut notes)?;
     let (mut measured, mut bad) = measure(&groups, &offset, size_px, saturation)?;
-    if measurement.dark.is_empty() {
-        let lines: Vec<_> = measured.iter().map(|beam| (&beam.group, &beam.transfer)).collect();
-        offset = intercept::refined(&offset, &lines, &bad, &mut notes)?;
+    if measurement.dark.is_empty()
+        && let Some(refined) = intercept::refined(&offset, &measured, &bad, &mut notes)?
+    {
+        offset = refined;
         (measured, bad) = measure(&groups, &offset, size_px, saturation)?;
     }
     let mut beams = Vec::new();

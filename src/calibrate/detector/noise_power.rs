@@ -1,10 +1,10 @@
 //! Normalised noise power: |Fourier transform|² of flat-fielded differences, per area, over the squared mean signal.
 
 use super::air::{AirMap, Consistent};
-use super::fourier::{Complex, transform};
 use super::offset::Offset;
 use crate::acquire::NoisePower;
 use crate::image::Image;
+use crate::image::fourier::{Complex, transform};
 
 /// Sides of the regions that are tried.
 const REGIONS_PX: [usize; 3] = [128, 64, 32];

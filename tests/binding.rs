@@ -174,6 +174,20 @@ fn odd_consoles_have_no_wrong_binding() {
     judge_odd(26_000_100..26_000_150);
 }
 
+/// Clocks that two frames confirm, pictures exported again while a beam is on, silences that exposures hide in: each gave a frame another's
+/// exposure.
+#[test]
+fn sessions_that_had_wrong_bindings_have_none() {
+    let odd_ones = [310_176, 310_660, 310_690, 310_704, 310_717, 310_750, 310_934, 310_957, 88_000_812];
+    let played = odd_ones.into_iter().flat_map(odd).chain([310_165, 88_000_137].into_iter().flat_map(usual));
+    let (mut frames, mut bound) = (0, 0);
+    for (_, kind, score) in played {
+        assert!(score.wrong.is_empty(), "{kind}: {:#?}", score.wrong);
+        (frames, bound) = (frames + score.frames, bound + score.bound);
+    }
+    assert!(frames > 300 && 10 * bound > 8 * frames, "{bound} of {frames} bound");
+}
+
 #[test]
 #[ignore = "minutes long: scripts/evaluate bind runs it"]
 fn thousand_oddities() {

@@ -340,6 +340,21 @@ fn a_picture_of_another_room_is_told_by_its_count() {
     }
 }
 
+/// A picture that was exported again just then, with the export's time for a stamp, took an exposure whose own came later.
+#[test]
+fn a_picture_that_came_sooner_than_all_others_do_is_not_of_the_exposure_that_its_stamp_names() {
+    let exposures = calm(14);
+    let stamp = |at_s: f64| Some(us((at_s + AHEAD_S).floor()));
+    for late_s in [-0.1, 0.3] {
+        let mut came: Vec<Came> = (0..14).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, None)).collect();
+        came.push((Truth::Foreign, exposures[9].1 + late_s, None));
+        let score = played_at(&exposures, &[], true, &came, (1_000_000, stamp(exposures[9].0), 25.0), &stamp);
+        assert!(score.wrong.is_empty() && score.bound == 14, "{late_s} s: {} bound, {:#?}", score.bound, score.told);
+        let sooner = score.told.iter().find(|told| told.contains("Foreign")).expect("it came");
+        assert!(late_s < 0.0 || sooner.contains("others come after"), "{sooner}");
+    }
+}
+
 #[test]
 fn stamps_that_name_a_series_are_not_used() {
     // Four exposures four seconds apart carry the time of the first; its own picture, in the third series, is missing.

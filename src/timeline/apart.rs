@@ -73,12 +73,8 @@ impl Known {
                  they were taken: each may be of its own exposure: ambiguous"
             ));
         }
-        let hidden = |first: usize| {
-            let (from, to) = (self.shots.get(first), self.shots.get(first + count - 1));
-            timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()
-        };
         match fitting[..] {
-            [first] if !hidden(first) => Images::OfEach(first),
+            [first] if !self.hidden(first, first + count - 1, timeline) => Images::OfEach(first),
             _ => Images::Untold(format!(
                 "one file of {count} images, which by its times took {}, names an exposure of {}; {} series of exposures have these times: \
                  ambiguous",

@@ -14,7 +14,9 @@ const DELAYS: usize = 5;
 /// One frame in so many may come sooner, and one later, than frames usually do.
 const STRANGE: usize = 10;
 /// Exposures from which it is known whether frames come promptly at present.
-const LAST_EXPOSURES: usize = 12;
+pub(super) const LAST_EXPOSURES: usize = 12;
+/// Half a stray is taken to have come in so long before the session.
+const BEFORE_US: i64 = 300_000_000;
 
 impl Weighed<'_> {
     /// Arrival alone: bound only where frames have come one by one, promptly, for every exposure.
@@ -126,9 +128,17 @@ impl Weighed<'_> {
         usual_us_of(delays_us).filter(|_| enough)
     }
 
-    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures without a
-    /// prompt frame (late ones come in runs), times rate of strays (before any was seen: one in ten minutes), times the length of the
-    /// time in which frames usually come.
+    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures, so many of so many,
+    /// without a frame (late ones come in runs), times rate of strays (before any was seen: one in ten minutes), times the length of the time in
+    /// which frames usually come.
+    pub(super) fn risk_of(&self, [lacking, count]: [usize; 2], strays: u32, arrival_us: i64, usual_us: i64) -> f64 {
+        let share = (lacking as f64 + 0.5) / (count as f64 + 1.0);
+        let elapsed_us = arrival_us.saturating_sub(self.known.shots.get(0).start_us).max(0).saturating_add(BEFORE_US);
+        let rate = (f64::from(strays) + 0.5) / elapsed_us as f64;
+        share * rate * usual_us as f64
+    }
+
+    /// The same by prompt frames, behind how many of the last exposures lack one.
     fn arrival_risk(&self, arrival_us: i64, usual_us: i64) -> (f64, usize, usize) {
         let shots = &self.known.shots;
         let settled_us = arrival_us.saturating_sub(PROMPT_US);
@@ -140,10 +150,7 @@ impl Weighed<'_> {
             .map(|shot| shot.prompt_frames == 0)
             .collect();
         let lacking = last.iter().filter(|lacking| **lacking).count();
-        let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
-        let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
-        let rate = (f64::from(self.known.strays) + 0.5) / elapsed_us as f64;
-        (share * rate * usual_us as f64, lacking, last.len())
+        (self.risk_of([lacking, last.len()], self.known.strays, arrival_us, usual_us), lacking, last.len())
     }
 }
 

@@ -100,10 +100,8 @@ impl Weighed<'_> {
         (found, None)
     }
 
-    /// Whether telemetry was silent between two exposures; a silence that hides the end of one may hide another exposure as well.
     fn hidden(&self, from: usize, to: usize) -> bool {
-        let (from, to) = (self.known.shots.get(from), self.known.shots.get(to));
-        self.timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()
+        self.known.hidden(from, to, self.timeline)
     }
 
     /// Whether the counter decides for `at` among `several` exposures: no other of them waits for its frame, or the counter's

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::Timeline;
 use super::agreement::OCCASION_US;
 use super::console::{ConsoleClock, ConsoleOffset, Pair, SCATTER_US};
 use super::counting::Counting;
@@ -132,6 +133,12 @@ impl Known {
         let standing = self.contents.len() as u32;
         let stamped = self.whole_minutes + self.other_stamps;
         said.console_us.is_none() && 2 * stamped > standing || said.counter.is_none() && 2 * self.counting.frames() > standing
+    }
+
+    /// Whether telemetry was silent between two exposures; a silence that hides the end of one may hide another exposure as well.
+    pub fn hidden(&self, from: usize, to: usize, timeline: &Timeline) -> bool {
+        let (from, to) = (self.shots.get(from), self.shots.get(to));
+        timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()
     }
 
     /// Whether the frame, whose counter names the exposure at `at`, may be of `other`, which waits for its frame.

@@ -6,6 +6,7 @@
 
 use std::ops::RangeInclusive;
 
+use super::arrival::LAST_EXPOSURES;
 use super::console::Bounds;
 use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
@@ -35,10 +36,6 @@ const SHARE: usize = 5;
 const RISK: f64 = 2e-5;
 /// What a frame may come sooner or later than all others that agree.
 const MARGIN_US: i64 = 40_000;
-/// Exposures from which it is known whether frames come at present.
-const LAST_EXPOSURES: usize = 12;
-/// Added to the session's length where strays are counted, µs.
-const PRIOR_US: f64 = 300e6;
 
 /// An exposure as the sequence sees it.
 #[derive(Clone, Copy)]
@@ -277,13 +274,11 @@ impl Weighed<'_> {
         true
     }
 
-    /// Chance that the exposure's own frame is missing and a stray came within the time in which it would have come, `usual_us` after it.
+    /// As [`Self::risk_of`], of a stray within the time in which the frame would have come, `usual_us` after its exposure.
     fn stray_risk(&self, sequence: &Sequence, due: &[usize], arrival_us: i64, usual_us: &RangeInclusive<i64>) -> f64 {
         let last: Vec<usize> = due.iter().rev().take(LAST_EXPOSURES).copied().collect();
         let lacking = last.iter().filter(|at| sequence.ended[**at].frames == 0).count();
-        let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
-        let strays = self.known.strays as usize + sequence.own.iter().filter(|own| own.is_none()).count();
-        let elapsed_us = arrival_us.saturating_sub(self.known.shots.get(0).start_us).max(0) as f64 + PRIOR_US;
-        share * (strays as f64 + 0.5) / elapsed_us * usual_us.end().saturating_sub(*usual_us.start()) as f64
+        let strays = self.known.strays + sequence.own.iter().filter(|own| own.is_none()).count() as u32;
+        self.risk_of([lacking, last.len()], strays, arrival_us, usual_us.end().saturating_sub(*usual_us.start()))
     }
 }

@@ -1,5 +1,7 @@
 //! A frame whose stamp tells, once the console's offset is known: which exposures it fits, and whether it is to be believed.
 
+use std::ops::RangeInclusive;
+
 use super::console::ConsoleOffset;
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
@@ -14,8 +16,8 @@ const ORDER_US: i64 = 20_000_000;
 const FITTING: usize = 3;
 /// Frames that confirm the console's clock from which on its stamp is believed where another exposure waits as well.
 const CONFIRMED: usize = 5;
-/// The same where its counter contradicts the stamp.
-const CONFIRMED_TWICE: usize = 8;
+/// From which on it is believed against the frame's own counter.
+const CONFIRMED_AGAINST_COUNTER: usize = 8;
 /// Stamps before one, and after it, that are asked.
 const BESIDE: usize = 24;
 /// Frames with stamps right before and right after one, each, that show whether the counter began anew there.
@@ -74,7 +76,13 @@ impl Weighed<'_> {
 
     /// Why the stamp does not tell although it fits `at`: the clock may have been set since the frames that confirm its offset, because
     /// arrival or counter speak for another exposure, or because other stamps from there fit nothing.
-    fn may_be_set(&self, at: usize, candidates: &[(usize, Firmness)], prompt: &[usize]) -> Option<String> {
+    fn may_be_set(
+        &self,
+        at: usize,
+        candidates: &[(usize, Firmness)],
+        prompt: &[usize],
+        usual_us: Option<&RangeInclusive<i64>>,
+    ) -> Option<String> {
         let at_us = self.known.shots.get(at).end_us;
         let pair = self.known.pair(&self.pending.evidence, at)?;
         let spans: Vec<(i64, i64)> =
@@ -86,8 +94,7 @@ impl Weighed<'_> {
             candidates.iter().find(|(other, firmness)| *firmness >= Firmness::OneSide && prompt.contains(other) && free(*other));
         // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do. Where the
         // setting is small, frames long after it still confirm the offset of before.
-        let usual_us = self.usual_delay_us();
-        let as_usual = |other: usize| usual_us.as_ref().map(|usual_us| self.came_within(usual_us, other));
+        let as_usual = |other: usize| usual_us.map(|usual_us| self.came_within(usual_us, other));
         if prompt.contains(&at)
             && !as_usual(at).unwrap_or(confirmed || !self.known.finished)
             && let Some(other) = prompt.iter().find(|other| free(**other) && as_usual(**other).unwrap_or(true))
@@ -135,22 +142,23 @@ impl Weighed<'_> {
         })
     }
 
-    /// Why a frame that came after the exposure at `at`, as its stamp says, is not believed to be of it: it came sooner than frames do, so it was
-    /// in the making before, and its stamp is of when it was exported, or of another room's exposure.
-    fn came_too_soon(&self, at: usize) -> Option<String> {
-        let (arrival_us, usual_us) = (self.pending.evidence.arrival_us?, self.usual_delay_us()?);
-        let after_us = arrival_us.saturating_sub(self.known.shots.get(at).over_us);
+    /// Why a frame is not believed to be of the exposure at `at`, which its stamp names: it came sooner after it than frames do, so it was in the
+    /// making before, and its stamp is of when it was exported, or of another room's exposure.
+    fn came_too_soon(&self, at: usize, usual_us: &RangeInclusive<i64>) -> Option<String> {
+        // From the earliest that the beam can have been over, which is the latest that the frame can have come after it.
+        let after_us = self.pending.evidence.arrival_us?.saturating_sub(self.known.shots.get(at).over_us);
         (after_us < *usual_us.start()).then(|| {
-            let (after, from, to) = (seconds(after_us), seconds(*usual_us.start()), seconds(*usual_us.end()));
-            format!(
-                "it came {after} after {}, which its stamp names, others come after {from} to {to}: ambiguous",
-                self.label(at)
-            )
+            let (label, from, to) = (self.label(at), seconds(*usual_us.start()), seconds(*usual_us.end()));
+            let came = match after_us {
+                0.. => format!("{} after {label}", seconds(after_us)),
+                _ => format!("while {label} was on"),
+            };
+            format!("it came {came}, which its stamp names, others come after {from} to {to}: ambiguous")
         })
     }
 
-    /// Why the stamp alone does not stand against what else there is: fewer than `needed` frames confirm the console's clock as it was then, those
-    /// that it gave their exposures and those next to it whose stamps fit one by it, or too many fit none.
+    /// Why the stamp alone does not stand against what else there is: the console's clock, as it was then, rests on fewer than `needed` frames, and
+    /// with those next to it whose stamps fit an exposure by it on fewer still, or too many of these fit none.
     fn few_confirm(&self, at: usize, needed: usize) -> Option<String> {
         let said = &self.pending.evidence;
         let (console_us, pair) = (said.console_us?, self.known.pair(said, at)?);
@@ -174,7 +182,7 @@ impl Weighed<'_> {
         }
         (confirming < needed || 4 * lost > confirming).then(|| {
             format!(
-                "the console's stamp points to {}, but not all else does, and only {confirming} frames confirm its clock, {lost} contradict it: ambiguous",
+                "the console's stamp points to {}, but not all else does, and {confirming} frames confirm its clock, {lost} contradict it: ambiguous",
                 self.label(at)
             )
         })
@@ -294,7 +302,8 @@ impl Weighed<'_> {
                 none(words)
             }
             (_, [at]) => {
-                if let Some(set) = self.may_be_set(*at, candidates, prompt) {
+                let usual_us = self.usual_delay_us();
+                if let Some(set) = self.may_be_set(*at, candidates, prompt, usual_us.as_ref()) {
                     words.push(set);
                     return none(words);
                 }
@@ -313,7 +322,7 @@ impl Weighed<'_> {
                     && !both.iter().any(|(both, _)| both == at)
                     && words.is_empty()
                 {
-                    if let Some(few) = self.few_confirm(*at, CONFIRMED_TWICE) {
+                    if let Some(few) = self.few_confirm(*at, CONFIRMED_AGAINST_COUNTER) {
                         words.push(few);
                         return none(words);
                     }
@@ -321,7 +330,7 @@ impl Weighed<'_> {
                 }
                 // How soon frames come would tell one from the other.
                 let waits = |other: &usize| other != at && free(*other);
-                if self.usual_delay_us().is_none()
+                if usual_us.is_none()
                     && prompt.contains(at)
                     && prompt.iter().any(waits)
                     && let Some(few) = self.few_confirm(*at, CONFIRMED)
@@ -336,7 +345,7 @@ impl Weighed<'_> {
                     ));
                     return none(words);
                 }
-                if let Some(sooner) = self.came_too_soon(*at) {
+                if let Some(sooner) = usual_us.and_then(|usual_us| self.came_too_soon(*at, &usual_us)) {
                     words.push(sooner);
                     return none(words);
                 }

@@ -9,28 +9,44 @@ use crate::table::{cells_of, unmarked};
 
 /// How what stands for the name of a label begins.
 const HIDDEN: &str = "label-";
+/// How a number goes on.
+const NUMBER: &str = "=";
 /// Of the hash of a name.
 const HASH_DIGITS: usize = 16;
 
-/// What stands for the name of a label that is not to be told, the `rank`th of its scene in their order: whoever has the label volume finds
-/// the label by it, and a map's materials keep their order.
+/// What stands for a label, a name that is not to be told or a number beside such, the `rank`th of its scene in their order: whoever has the
+/// label volume finds the label by it, and a map's materials keep their order.
 #[must_use]
-pub fn hidden_label(rank: usize, name: &str) -> String {
-    format!("{HIDDEN}{rank:04}-{}", hash_of(name))
+pub fn hidden_label(rank: usize, label: &str) -> String {
+    match label.trim().parse::<u32>() {
+        Ok(number) => format!("{HIDDEN}{rank:04}-{NUMBER}{number}"),
+        Err(_) => format!("{HIDDEN}{rank:04}-{}", hash_of(label)),
+    }
 }
 
-/// Whether `text` is what [`hidden_label`] makes of some name.
+/// Whether `text` is what [`hidden_label`] makes of some label.
 #[must_use]
 pub fn is_hidden_label(text: &str) -> bool {
-    hidden_hash(text).is_some()
+    hidden(text).is_some()
 }
 
-fn hidden_hash(text: &str) -> Option<&str> {
-    let (rank, hash) = text.strip_prefix(HIDDEN)?.split_once('-')?;
-    let is_one = rank.bytes().all(|byte| byte.is_ascii_digit())
-        && hash.len() == HASH_DIGITS
-        && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
-    is_one.then_some(hash)
+/// Which label is hidden by a text.
+#[derive(Clone, Copy)]
+enum Hidden<'t> {
+    Number(u32),
+    Hash(&'t str),
+}
+
+fn hidden(text: &str) -> Option<Hidden<'_>> {
+    let (rank, label) = text.strip_prefix(HIDDEN)?.split_once('-')?;
+    if !rank.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    if let Some(number) = label.strip_prefix(NUMBER) {
+        return number.parse().ok().map(Hidden::Number);
+    }
+    let is_hash = label.len() == HASH_DIGITS && label.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_hash.then_some(Hidden::Hash(label))
 }
 
 /// The same however it is written where labels are looked up.
@@ -99,7 +115,11 @@ impl LabelNames {
         if let Ok(number) = text.parse() {
             return Ok(number);
         }
-        let hash = hidden_hash(text);
+        let hash = match hidden(text) {
+            Some(Hidden::Number(number)) => return Ok(number),
+            Some(Hidden::Hash(hash)) => Some(hash),
+            None => None,
+        };
         let is_meant = |name: &str| name.eq_ignore_ascii_case(text) || hash.is_some_and(|hash| hash_of(name) == hash);
         let mut named = self.iter().filter(|&(_, name)| is_meant(name));
         match (named.next(), named.next()) {

@@ -68,7 +68,7 @@ impl Adapters {
     /// The same without words of those who wrote them ([`LineAdapter::nameless`]).
     #[must_use]
     pub fn nameless(&self, origin: &str) -> Self {
-        let nameless = |adapter: &Option<LineAdapter>| adapter.as_ref().map(|adapter| adapter.nameless(origin));
+        let nameless = |adapter: &Option<LineAdapter>| adapter.as_ref().and_then(|adapter| adapter.nameless(origin));
         Self { carm: nameless(&self.carm), robot: nameless(&self.robot) }
     }
 }

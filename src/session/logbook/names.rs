@@ -65,12 +65,13 @@ impl Names {
         }
     }
 
-    /// All or none of them: what is replaced keeps its place among the others, on which the order of a scene's materials rests.
+    /// All or none of them, numbers as well: each keeps its place among the others, on which the order of a scene's materials rests.
     fn hide_labels(&mut self, scene: &Value) {
         let mut found = BTreeSet::new();
         labels_of(scene, &mut found);
-        if found.iter().any(|name| !is_harmless(name) && !is_hidden_label(name)) {
-            let hidden = found.iter().enumerate().map(|(rank, name)| hidden_label(rank, name)).collect::<Vec<_>>();
+        let is_name = |label: &str| label.trim().parse::<u32>().is_err();
+        if found.iter().any(|label| is_name(label) && !is_harmless(label) && !is_hidden_label(label)) {
+            let hidden = found.iter().enumerate().map(|(rank, label)| hidden_label(rank, label)).collect::<Vec<_>>();
             self.labels = found.into_iter().zip(hidden).collect();
         }
     }
@@ -80,7 +81,7 @@ impl Names {
         self.instead.len() + self.labels.len()
     }
 
-    /// A label of a label map, whose number stays.
+    /// A label of a label map.
     fn label(&self, text: &str) -> String {
         self.labels.get(text).cloned().unwrap_or_else(|| text.to_owned())
     }
@@ -246,18 +247,17 @@ fn bodies_of(value: &Value, found: &mut Vec<String>) {
 
 /// Names of labels in a scene; their numbers are none.
 fn labels_of(value: &Value, found: &mut BTreeSet<String>) {
-    let is_name = |name: &&str| name.trim().parse::<u32>().is_err();
     match value {
         Value::Array(values) => values.iter().for_each(|value| labels_of(value, found)),
         Value::Object(fields) => {
             for (key, value) in fields {
                 match value {
                     Value::Object(labels) if key == "map" => {
-                        found.extend(labels.keys().map(String::as_str).filter(is_name).map(str::to_owned));
+                        found.extend(labels.keys().cloned());
                     }
                     Value::Object(bodies) if key == "bodies" => {
                         let labels = bodies.values().filter_map(Value::as_array).flatten().filter_map(Value::as_str);
-                        found.extend(labels.filter(is_name).map(str::to_owned));
+                        found.extend(labels.map(str::to_owned));
                     }
                     other => labels_of(other, found),
                 }
@@ -314,7 +314,7 @@ mod tests {
     fn labels_are_hidden_where_they_stand_and_keep_their_order() {
         let text = json!({"objects": [{"ct": {"path": "ct.nii", "materials": {
             "labels": "seg.nii", "default": "water",
-            "map": {"77": "bone_cortical", "hip": "bone_cortical", "Quaxwelk soft": {"material": "soft_tissue"}, "zz Quaxwelk": "lung"},
+            "map": {"1st rib": "bone_cortical", "77": "bone_cortical", "hip": "bone_cortical", "Quaxwelk soft": {"material": "soft_tissue"}, "zz Quaxwelk": "lung"},
             "bodies": {"Quaxwelk": ["Quaxwelk", 5, "6"], "femur": ["hip"]}
         }}}]});
         let mut names = Names::default();
@@ -325,17 +325,22 @@ mod tests {
         let materials = &serde_json::from_str::<Value>(&scene).expect("JSON")["objects"][0]["ct"]["materials"];
         let hidden = hidden_label;
         let map = [
-            ("77".to_owned(), json!("bone_cortical")),
-            (hidden(0, "Quaxwelk"), Value::Null),
-            (hidden(1, "Quaxwelk soft"), json!({"material": "soft_tissue"})),
-            (hidden(2, "hip"), json!("bone_cortical")),
-            (hidden(3, "zz Quaxwelk"), json!("lung")),
+            (hidden(0, "1st rib"), json!("bone_cortical")),
+            (hidden(1, "6"), Value::Null),
+            (hidden(2, "77"), json!("bone_cortical")),
+            (hidden(3, "Quaxwelk"), Value::Null),
+            (hidden(4, "Quaxwelk soft"), json!({"material": "soft_tissue"})),
+            (hidden(5, "hip"), json!("bone_cortical")),
+            (hidden(6, "zz Quaxwelk"), json!("lung")),
         ];
         assert!(map.is_sorted_by(|a, b| a.0 < b.0), "as before");
         for (label, made_of) in &map {
             assert_eq!(&materials["map"][label], made_of, "{label}: {scene}");
         }
-        assert_eq!(materials["bodies"], json!({"body-1": [hidden(0, "Quaxwelk"), 5, "6"], "femur": [hidden(2, "hip")]}));
+        assert_eq!(
+            materials["bodies"],
+            json!({"body-1": [hidden(3, "Quaxwelk"), 5, hidden(1, "6")], "femur": [hidden(5, "hip")]})
+        );
         // Once more there is nothing to hide.
         let mut again = Names::default();
         again.hide_labels(&serde_json::from_str(&scene).expect("JSON"));

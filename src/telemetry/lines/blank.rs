@@ -1,7 +1,7 @@
 //! Words in a line that no sample rests on: a log that is given away does without them.
 
 use super::adapter::{LineAdapter, Read};
-use super::split::Columns;
+use super::split::{Columns, text_of_line};
 
 /// Shorter words name nobody.
 const LEAST_WORD_BYTES: usize = 2;
@@ -39,9 +39,7 @@ impl LineBlanker {
     /// is taken out of the declaration as well ([`LineAdapter::nameless`]).
     #[must_use]
     pub fn blanked(&mut self, line: &[u8]) -> Vec<u8> {
-        // A zero makes it no text, whatever is to be ignored.
-        let text = std::str::from_utf8(line).ok().filter(|text| !text.contains('\0'));
-        if text.is_some_and(|text| self.adapter.is_ignored(text)) {
+        if text_of_line(line).is_some_and(|text| self.adapter.is_ignored(text)) {
             return vec![IGNORED; line.len()];
         }
         let said = self.said(line);
@@ -69,7 +67,7 @@ impl LineBlanker {
     }
 
     fn said(&self, line: &[u8]) -> Said {
-        let Ok(text) = std::str::from_utf8(line) else { return Said::NoSample };
+        let Some(text) = text_of_line(line) else { return Said::NoSample };
         match self.adapter.read(text, self.header.as_ref()) {
             Ok(Read::Values(values)) => values.told().map_or(Said::NoSample, Said::Values),
             Ok(Read::Header(columns)) => Said::Header(columns),

@@ -9,7 +9,7 @@ use super::super::sequence::SequenceTracker;
 use super::adapter::{LineAdapter, Read};
 use super::cycle::Cycle;
 use super::sample::Stamp;
-use super::split::Columns;
+use super::split::{Columns, text_of_line};
 
 /// Longest line without its end.
 pub const MAX_LINE_BYTES: usize = 64 << 10;
@@ -148,7 +148,7 @@ impl LineDecoder {
     /// The sample of a line, and the time by which its number is judged; none of a line that means nothing.
     fn read(&mut self, host_us: i64, line: &[u8]) -> Result<Option<(Sample, u64)>, LineFault> {
         let not_text = || LineFault::NotText { bytes: line.len() };
-        let text = std::str::from_utf8(line).ok().filter(|text| !text.contains('\0')).ok_or_else(not_text)?;
+        let text = text_of_line(line).ok_or_else(not_text)?;
         if text.trim().is_empty() {
             return Ok(None);
         }

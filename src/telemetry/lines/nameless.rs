@@ -1,8 +1,11 @@
 //! A declaration without the words of whoever wrote it: a log that is given away reads its lines as before.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::ops::Range;
 
-use regex::Regex;
+use regex_syntax::ast::parse::Parser;
+use regex_syntax::ast::{self, Ast, GroupKind};
 use serde_json::Value;
 
 use super::adapter::LineAdapter;
@@ -12,25 +15,23 @@ use super::declaration::{Declaration, Format};
 /// Names that the declaration gives, and what stands for each.
 type Renamed = BTreeMap<String, String>;
 
-/// How a named group begins.
-const GROUPS: [&str; 2] = ["(?<", "(?P<"];
-
 impl LineAdapter {
     /// The same lines, as [`super::LineBlanker`] leaves them, said by nobody: without what was to be ignored, with numbers for the names of groups
     /// and of columns. What stands in the lines themselves stays: a pattern's own text, columns that a header names, keys of JSON, words of a flag
     /// and how comments begin.
+    ///
+    /// `None` where the words could not be taken out: it is not to be given away then.
     #[must_use]
-    pub fn nameless(&self, origin: &str) -> Self {
+    pub fn nameless(&self, origin: &str) -> Option<Self> {
         let mut declaration = Declaration { origin: origin.to_owned(), ..self.declaration().clone() };
         if !declaration.ignore.is_empty() {
             declaration.ignore = vec![IGNORED_LINES.to_owned()];
         }
-        let numbered = numbered(&declaration).and_then(|numbered| Self::try_from(numbered).ok());
-        numbered.or_else(|| Self::try_from(declaration).ok()).unwrap_or_else(|| self.clone())
+        Self::try_from(numbered(&declaration)?).ok()
     }
 }
 
-/// With numbered groups or columns; `None` where a pattern is such that its groups are not found.
+/// With numbered groups or columns; `None` where a pattern is none.
 fn numbered(declaration: &Declaration) -> Option<Declaration> {
     let mut kept = declaration.clone();
     let renamed = match &mut kept.format {
@@ -58,34 +59,42 @@ fn number_columns(columns: &mut [String]) -> Renamed {
     renamed
 }
 
-/// A pattern with numbered groups, and what they were called.
+/// A pattern with numbered groups, and what they were called; `None` where it is none.
 fn number_groups(pattern: &str) -> Option<(String, Renamed)> {
-    let (mut numbered, mut renamed, mut rest, mut brackets) = (String::new(), Renamed::new(), pattern, 0usize);
-    while let Some(c) = rest.chars().next() {
-        // Within brackets, and escaped, it is a character like any other.
-        let group = GROUPS.into_iter().filter(|_| brackets == 0).find_map(|begin| Some((begin, rest.strip_prefix(begin)?)));
-        if let Some((begin, (name, after))) = group.and_then(|(begin, after)| Some((begin, after.split_once('>')?))) {
-            let number = format!("value_{}", renamed.len() + 1);
-            numbered.push_str(begin);
-            numbered.push_str(&number);
-            numbered.push('>');
-            renamed.insert(name.to_owned(), number);
-            rest = after;
-            continue;
-        }
-        let escaped = if c == '\\' { rest[1..].chars().next().map_or(0, char::len_utf8) } else { 0 };
-        match c {
-            '[' => brackets += 1,
-            ']' => brackets = brackets.saturating_sub(1),
-            _ => {}
-        }
-        let (taken, after) = rest.split_at(c.len_utf8() + escaped);
-        numbered.push_str(taken);
-        rest = after;
+    let mut groups = ast::visit(&Parser::new().parse(pattern).ok()?, Groups::default()).ok()?;
+    groups.sort_unstable_by_key(|(place, _)| place.start);
+    let (mut numbered, mut renamed, mut from) = (String::new(), Renamed::new(), 0);
+    for (place, name) in groups {
+        let number = format!("value_{}", renamed.len() + 1);
+        numbered.push_str(pattern.get(from..place.start)?);
+        numbered.push_str(&number);
+        from = place.end;
+        renamed.insert(name, number);
     }
-    let names = |pattern: &str| Some(Regex::new(pattern).ok()?.capture_names().flatten().map(str::to_owned).collect::<Vec<_>>());
-    let expected: Vec<String> = names(pattern)?.iter().filter_map(|name| renamed.get(name).cloned()).collect();
-    (expected.len() == renamed.len() && names(&numbered)? == expected).then_some((numbered, renamed))
+    numbered.push_str(pattern.get(from..)?);
+    Some((numbered, renamed))
+}
+
+/// Names of groups, and where they stand in the pattern.
+#[derive(Default)]
+struct Groups(Vec<(Range<usize>, String)>);
+
+impl ast::Visitor for Groups {
+    type Output = Vec<(Range<usize>, String)>;
+    type Err = Infallible;
+
+    fn finish(self) -> Result<Self::Output, Infallible> {
+        Ok(self.0)
+    }
+
+    fn visit_pre(&mut self, node: &Ast) -> Result<(), Infallible> {
+        if let Ast::Group(group) = node
+            && let GroupKind::CaptureName { name, .. } = &group.kind
+        {
+            self.0.push((name.span.start.offset..name.span.end.offset, name.name.clone()));
+        }
+        Ok(())
+    }
 }
 
 /// In each source of a declaration.
@@ -117,6 +126,9 @@ mod tests {
         let (numbered, renamed) = number_groups(r"\(?<Quax>\d+ [(?<x>]+ (?P<welk>ON|(?<off>-)) \\(?<end>.)").unwrap_or_default();
         assert_eq!(numbered, r"\(?<Quax>\d+ [(?<x>]+ (?P<value_1>ON|(?<value_2>-)) \\(?<value_3>.)");
         assert_eq!(renamed.keys().collect::<Vec<_>>(), ["end", "off", "welk"]);
+        // With blanks and comments in it, where brackets are none.
+        let (numbered, _) = number_groups("(?x) (?<Quax>\\d+) # a [ bracket\n (?<welk>.)").unwrap_or_default();
+        assert_eq!(numbered, "(?x) (?<value_1>\\d+) # a [ bracket\n (?<value_2>.)");
         assert!(number_groups("(?<t>").is_none(), "no pattern");
     }
 }

@@ -10,6 +10,11 @@ use super::error::AdapterError;
 /// What a separator is called that is blanks and tabs.
 const WHITESPACE: &str = "whitespace";
 
+/// A line as text; a zero makes it none.
+pub(super) fn text_of_line(line: &[u8]) -> Option<&str> {
+    std::str::from_utf8(line).ok().filter(|text| !text.contains('\0'))
+}
+
 /// The names that are read of each line: the texts of a line are in their order.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Names(Vec<(String, String)>);

@@ -96,6 +96,8 @@ fn a_ghost_that_is_far_fainter_throughout_is_set_aside_with_a_doubt_and_a_copy_i
         }
         let pose = with(uneven);
         assert!(!pose.is_accepted() || pose.doubt.is_some(), "seed {seed}: {:?}", pose.cautions);
+        let told = [pose.reason, pose.doubt].into_iter().flatten().collect::<String>();
+        assert!(!told.contains(WORDS), "seed {seed}: {told}");
         cases += 1;
     }
     assert!(cases == 3 && set_aside == 9 && named >= 2, "{cases}, {set_aside}, {named}");

@@ -212,9 +212,8 @@ pub fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
         };
         let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);
         let kind = known.ok_or_else(|| {
-            wrong(
-                "not one of drop, flip, tear, duplicate, reorder, delay, unplug, away, mute, gone, freeze, restart, jump, ahead, back, millis, other",
-            )
+            let all: Vec<&str> = FaultKind::ALL.iter().map(|kind| kind.name()).collect();
+            wrong(&format!("not one of {}", all.join(", ")))
         })?;
         match (device, share) {
             (Some(device), Some(at)) => out.push(Fault { device, at, kind }),

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::domain::Domain;
 use crate::foreign::open_regular;
 use crate::image::beside;
+use crate::json::parse_json;
 
 /// More than any description takes.
 const MAX_BYTES: u64 = 1 << 20;
@@ -52,7 +53,7 @@ impl Beside {
         if file.take(MAX_BYTES).read_to_string(&mut text).is_err() {
             return Self::only("the sidecar .json could not be read");
         }
-        match serde_json::from_str::<serde_json::Value>(&text) {
+        match parse_json::<serde_json::Value>(text.as_bytes()) {
             Ok(json) => Self::of_json(&json),
             Err(_) => Self::only("the sidecar .json is not valid JSON"),
         }

@@ -106,12 +106,7 @@ fn grey_step(mut greys: Vec<f32>) -> f64 {
         return 0.0;
     }
     let mut gaps: Vec<f32> = greys.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    if gaps.is_empty() {
-        return 0.0;
-    }
-    let low = gaps.len() / 10;
-    let step = f64::from(*gaps.select_nth_unstable_by(low, f32::total_cmp).1);
-    if step.is_finite() { step } else { 0.0 }
+    quantile(&mut gaps, 0.1).filter(|step| step.is_finite()).unwrap_or(0.0)
 }
 
 /// Variance = slope · value + offset through those bins that hold noise only; `None` when it does not rise.

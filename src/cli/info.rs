@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
+use super::exit::{GOOD, LOSS};
 use crate::acquire::{AcquireError, Fault, is_dicom};
 use crate::regular::{self, NotRegular};
 use crate::reporter::{Reporter, printable};
@@ -23,10 +24,6 @@ use crate::scene::{is_ct_slice, is_volume};
 use found::Found;
 pub use found::InfoError;
 
-/// Exit code of a complete answer.
-const GOOD: u8 = 0;
-/// Exit code of an answer about a file from which something is lost.
-const LOSS: u8 = 3;
 /// A text that is longer describes no single thing.
 const LONGEST_TEXT: u64 = 1 << 20;
 

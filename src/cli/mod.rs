@@ -35,6 +35,7 @@ mod dataset_error;
 mod dataset_materials;
 pub mod demo;
 pub mod devices;
+mod exit;
 pub mod following;
 pub mod grab;
 pub mod hints;

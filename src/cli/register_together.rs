@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::exit::LOSS;
 use super::read_aloud::frame_aloud;
 use super::register_args::{Given, RegisterArgs};
 use super::register_error::RegisterError;
@@ -14,9 +15,6 @@ use crate::reporter::Reporter;
 /// Standard deviation of a bead's place per axis where its description gives none, mm. A single frame trusts a layout more: it cannot
 /// see that a bead is elsewhere.
 const SIGMA_MM: f64 = 0.15;
-
-/// Exit code of views that were solved together without some of them.
-const LOSS: u8 = 3;
 
 /// Registers each frame, solves all together, writes and prints. Returns the exit code: 0 accepted, 1 refused, 3 accepted without some of the views.
 ///

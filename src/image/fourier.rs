@@ -1,10 +1,10 @@
 //! A discrete Fourier transform of 2ⁿ values, in place.
 
 /// Real and imaginary parts.
-pub(super) type Complex = [f64; 2];
+pub type Complex = [f64; 2];
 
 /// Σ x_k exp(−2πi jk/n); the length must be a power of two.
-pub(super) fn transform(values: &mut [Complex]) {
+pub fn transform(values: &mut [Complex]) {
     let n = values.len();
     debug_assert!(n.is_power_of_two());
     let mut mirrored = 0usize;

@@ -2,6 +2,7 @@
 
 pub mod dicom;
 mod files;
+pub mod fourier;
 mod new_file;
 pub mod plot;
 mod temporary;

@@ -115,15 +115,10 @@ impl Case<'_> {
             Some(Loose::NearlyFlat(words)) => notes.push(words),
             None => {}
         }
-        let lens = UnstatedLens::of(self.request, &settled);
-        match lens.as_ref().and_then(|lens| lens.bends(self.request, &settled.solution)) {
+        let (lens, bends) = UnstatedLens::heard(self.request, &settled);
+        match bends {
             Some(Bends::AtPlace(words)) => cautions.doubt(words),
             Some(Bends::AtEdge(words)) => notes.push(words),
-            None if lens.is_none() && self.request.round_field.is_some() => cautions.doubt(
-                "the field is round, as an image intensifier's, and how far one would bend this picture cannot be told: give --distortion, or none \
-                 where the detector is flat (intensifier in a session)"
-                    .to_owned(),
-            ),
             None => {}
         }
         if matched < candidate.hypothesis.in_view {

@@ -72,7 +72,7 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
     let found = detect(frame, Some(&usable), &request.expectation());
     let straight = |shadows| request.straight_shadows(shadows);
     let detections = Detections { found: straight(found.found), opposite: straight(found.opposite), ..found };
-    let round_field = request.in_field(frame, masks).round_field;
+    let round_field = request.round_field_of(frame, masks);
     Looked { detections, usable, round_field, otherwise: Arc::default() }
 }
 

@@ -79,12 +79,10 @@ impl<'a> Registration<'a> {
         }
     }
 
-    /// The same with the round field of `frame`, unless somebody says what took it. A round collimator before a flat panel looks like an
-    /// intensifier's.
-    pub(super) fn in_field(&self, frame: &Frame, masks: &Masks) -> Self {
+    /// The round field of `frame`, unless somebody says what took it. A round collimator before a flat panel looks like an intensifier's.
+    pub(super) fn round_field_of(&self, frame: &Frame, masks: &Masks) -> Option<Disc> {
         let is_told = self.is_flat || self.distortion.is_some() || frame.tags.names_flat_panel();
-        let round_field = if is_told { None } else { self.round_field.or(masks.disc) };
-        Self { round_field, ..*self }
+        masks.disc.filter(|_| !is_told)
     }
 
     /// Fewest beads that give a pose.

@@ -34,6 +34,10 @@ const MOST_PX: f64 = 1.0;
 /// A place farther out than this, in radii of the field, is not in the picture.
 const REACH: f64 = 1.05;
 
+/// What to do about it.
+const MEASURE: &str = "measure it with `sidecarm calibrate intensifier` and give its file (--distortion FILE with one frame, \"intensifier\" in a \
+     session), or \"none\" in its place where the detector is flat";
+
 /// What bends a picture that nobody has straightened, as far as the beads leave it open.
 #[derive(Clone, Debug)]
 pub(super) struct UnstatedLens {
@@ -53,8 +57,23 @@ pub(super) enum Bends {
 }
 
 impl UnstatedLens {
-    /// Of a match in a round field; `None` where it is known what took the picture.
-    pub fn of(request: &Registration, settled: &Settled) -> Option<Self> {
+    /// Of a match, and what is said of it, also that it cannot be told; nothing where the field is not round, or it is known what took the picture.
+    pub fn heard(request: &Registration, settled: &Settled) -> (Option<Self>, Option<Bends>) {
+        if request.round_field.is_none() {
+            return (None, None);
+        }
+        let lens = Self::of(request, settled);
+        let bends = match &lens {
+            Some(lens) => lens.bends(request, &settled.solution),
+            None => Some(Bends::AtPlace(format!(
+                "{ROUND_FIELD}, as that of an image intensifier, and how far one would bend this picture cannot be told: {MEASURE}"
+            ))),
+        };
+        (lens, bends)
+    }
+
+    /// `None` where it cannot be told.
+    fn of(request: &Registration, settled: &Settled) -> Option<Self> {
         let (field, k) = (request.round_field?, settled.solution.intrinsics);
         let radius = field.radius_px / k.fx;
         let off = (field.centre - DVec2::new(k.cx, k.cy)) / k.fx;
@@ -142,7 +161,7 @@ impl UnstatedLens {
     }
 
     /// Where it may shift a place that is asked for by too much: a landmark, or where there is none a bead of the layout.
-    pub fn bends(&self, request: &Registration, solution: &Solution) -> Option<Bends> {
+    fn bends(&self, request: &Registration, solution: &Solution) -> Option<Bends> {
         let field = request.round_field?;
         let is_seen = |lps_mm: DVec3| {
             let at = solution.place(lps_mm).1;
@@ -160,8 +179,7 @@ impl UnstatedLens {
         {
             return Some(Bends::AtPlace(format!(
                 "{ROUND_FIELD}, as that of an image intensifier, and no distortion is stated: if one took it, {name} may be off by \
-                 {worst_px:.1} px (1 σ), which beads elsewhere do not show; measure it with `sidecarm calibrate intensifier` and give its file \
-                 (--distortion FILE with one frame, \"intensifier\" in a session), or \"none\" in its place where the detector is flat"
+                 {worst_px:.1} px (1 σ), which beads elsewhere do not show; {MEASURE}"
             )));
         }
         if is_asked {

@@ -29,7 +29,7 @@ const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// is stated: of a tag's corners nobody knows how they share K's uncertainty with the beads.
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
-    let request = &Registration { intrinsics_prior: None, ..request.in_field(frame, masks) };
+    let request = &Registration { intrinsics_prior: None, round_field: request.round_field_of(frame, masks), ..*request };
 
     let seen = &request.straight_tags(seen);
 
@@ -264,8 +264,7 @@ impl Tags<'_> {
         notes.push(format!(
             "the pose is that of tags alone; their corners are taken to be good to {CORNER_SIGMA_PX} px, which beads would check"
         ));
-        let lens = UnstatedLens::of(self.request, &settled);
-        let bends = lens.as_ref().and_then(|lens| lens.bends(self.request, &settled.solution));
+        let (lens, bends) = UnstatedLens::heard(self.request, &settled);
         let mut pose = self.case().accept(&settled, &found.covariance(), lens.as_ref(), 0.0, notes);
         (pose.chance, pose.fused) = (None, false);
         match bends {

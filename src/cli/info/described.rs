@@ -6,6 +6,7 @@ use serde_json::{Map, Value};
 
 use super::kinds::recognise;
 use crate::image::beside;
+use crate::json::parse_json;
 use crate::regular;
 
 /// Of the standard errors beside a map of dose, `DOSE.nii.gz.error.nii.gz`; they share its description.
@@ -14,7 +15,7 @@ const OF_ERRORS: &str = ".error.nii.gz";
 /// The description of `path`.
 fn description(path: &Path) -> Option<Map<String, Value>> {
     let text = regular::read_small_text(&beside(path, "json")).ok()?;
-    let Ok(Value::Object(map)) = serde_json::from_str::<Value>(&text) else { return None };
+    let Ok(Value::Object(map)) = parse_json::<Value>(text.as_bytes()) else { return None };
     (recognise(&map) == Some("image_description")).then_some(map)
 }
 

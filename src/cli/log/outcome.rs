@@ -1,11 +1,7 @@
 //! How the commands on logs end, and how they count.
 
+pub(super) use super::super::exit::{GOOD, LOSS};
 use crate::reporter::Reporter;
-
-/// Exit code of a complete result.
-pub(super) const GOOD: u8 = 0;
-/// Exit code of a result from which something is lost.
-pub(super) const LOSS: u8 = 3;
 
 /// Says what is lost from the log that was read; the exit code.
 pub(super) fn say(losses: &[String], reporter: &Reporter) -> u8 {

@@ -8,8 +8,8 @@
 //! A mean over n pixels has the variance (gain · signal + σ²) / n of photon transfer, and (τ · signal)² more where the tube's output scatters
 //! by the share τ, one tube's in all its beams: as large as the frames' distances from their lines ask for.
 
-use super::MeasuredBeam;
 use super::error::DetectorError;
+use super::measured::MeasuredBeam;
 use super::offset::{Offset, has_levels, of_exposures};
 use crate::image::Image;
 

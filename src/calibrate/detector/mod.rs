@@ -18,6 +18,7 @@ mod edge;
 mod error;
 mod groups;
 mod intercept;
+mod measured;
 mod measurement;
 mod noise_power;
 mod offset;
@@ -44,18 +45,18 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     let groups = groups::group(&measurement.air, saturation)?;
     check_filtration(measurement.filter.as_deref(), &groups)?;
     let mut offset = offset::find(&measurement.dark, &groups, saturation, &mut notes)?;
-    let (mut measured, mut bad) = measure(&groups, &offset, size_px, saturation)?;
+    let (mut measured, mut bad) = measured::all(&groups, &offset, size_px, saturation)?;
     if measurement.dark.is_empty()
         && let Some(refined) = intercept::refined(&offset, &measured, &bad, &mut notes)?
     {
         offset = refined;
-        (measured, bad) = measure(&groups, &offset, size_px, saturation)?;
+        (measured, bad) = measured::all(&groups, &offset, size_px, saturation)?;
     }
     let mut beams = Vec::new();
     let mut maps = PanelMaps { offset_value: offset.map.clone(), ..PanelMaps::default() };
     let nps = measured.iter().find_map(|of| noise_power::find(&of.group, &offset, &of.air, &bad, measurement.pitch_mm));
-    let readout_sigma = offset.readout_sigma.or_else(|| fitted_readout_sigma(&measured, &mut notes));
-    for MeasuredBeam { group, air, transfer } in measured {
+    let readout_sigma = offset.readout_sigma.or_else(|| measured::readout_sigma(&measured, &mut notes));
+    for measured::MeasuredBeam { group, air, transfer } in measured {
         beams.push(beam(measurement, &group, &air, &transfer));
         notes.extend(transfer.notes);
         maps.air_share.push(air.share);
@@ -98,56 +99,6 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     };
     maps.bad = Some(bad);
     Ok(DetectorCalibration { record, maps })
-}
-
-/// What the air frames of a beam say, given the offset.
-struct MeasuredBeam<'a> {
-    group: air::Consistent<'a>,
-    air: air::AirMap,
-    transfer: transfer::Transfer,
-}
-
-/// All beams, and the pixels that are bad in any.
-fn measure<'a>(
-    groups: &[groups::Group<'a>],
-    offset: &offset::Offset,
-    size_px: [usize; 2],
-    saturation: Option<f64>,
-) -> Result<(Vec<MeasuredBeam<'a>>, Image<u8>), DetectorError> {
-    let mut bad = bad_pixels::hot(offset, size_px);
-    let mut measured = Vec::new();
-    for group in groups {
-        let group = air::consistent(group, offset)?;
-        let air = air::map(&group, offset, &bad)?;
-        bad_pixels::add_dead(&mut bad, &air);
-        let transfer = transfer::find(&group, offset, &bad, saturation)?;
-        bad_pixels::add_unstable(&mut bad, &group, &air, offset, &transfer);
-        // Once more without the pixels that turned out to be unstable.
-        let transfer = transfer::find(&group, offset, &bad, saturation)?;
-        measured.push(MeasuredBeam { group, air, transfer });
-    }
-    Ok((measured, bad))
-}
-
-/// A variance this many of its standard deviations above zero gives the electronic noise to a tenth.
-const READOUT_SIGMAS: f64 = 5.0;
-
-/// Electronic noise without two darks, from the beam that gives it best; `None` where the quanta's noise drowns it.
-fn fitted_readout_sigma(measured: &[MeasuredBeam], notes: &mut Vec<String>) -> Option<f64> {
-    let ends = measured.iter().filter_map(|beam| beam.transfer.end_variance);
-    let [variance, sigma] = ends.min_by(|a, b| a[1].total_cmp(&b[1]))?;
-    if !(variance > READOUT_SIGMAS * sigma) {
-        notes.push(format!(
-            "the electronic noise is not known: the air frames give its variance as {variance:.1} ± {sigma:.1}; take two dark frames (--dark)"
-        ));
-        return None;
-    }
-    let readout = variance.sqrt();
-    notes.push(format!(
-        "electronic noise of {readout:.2} ± {:.2} from the air frames, where their variance ends without signal",
-        0.5 * sigma / readout
-    ));
-    Some(readout)
 }
 
 fn check_frames(measurement: &Measurement) -> Result<[usize; 2], DetectorError> {

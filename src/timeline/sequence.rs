@@ -35,7 +35,7 @@ const SHARE: usize = 5;
 /// Risk that the exposure's own frame is missing and a stray came just then.
 const RISK: f64 = 2e-5;
 /// What a frame may come sooner or later than all others that agree.
-const MARGIN_US: i64 = 40_000;
+const MARGIN_US: i64 = 20_000;
 
 /// An exposure as the sequence sees it.
 #[derive(Clone, Copy)]

@@ -329,14 +329,23 @@ impl Weighed<'_> {
                     words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
                 }
                 // How soon frames come would tell one from the other.
-                let waits = |other: &usize| other != at && free(*other);
+                let waits = |other: &&usize| *other != at && free(**other);
                 if usual_us.is_none()
                     && prompt.contains(at)
-                    && prompt.iter().any(waits)
-                    && let Some(few) = self.few_confirm(*at, CONFIRMED)
+                    && let Some(other) = prompt.iter().rfind(waits)
                 {
-                    words.push(few);
-                    return none(words);
+                    // A stamp of the whole series names its first exposure, whose frame may be missing.
+                    if other > at && !self.known.finished {
+                        let (by_stamp, later) = (self.label(*at), self.label(*other));
+                        words.push(format!(
+                            "the console's stamp points to {by_stamp}, but the frame may be of {later} as well: how soon frames come is not known yet"
+                        ));
+                        return none(words);
+                    }
+                    if let Some(few) = self.few_confirm(*at, CONFIRMED) {
+                        words.push(few);
+                        return none(words);
+                    }
                 }
                 if self.of_another_count(*at, candidates) {
                     words.push(format!(

@@ -9,7 +9,7 @@ use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use crate::image::{check_writable, refuse_same_content};
 use crate::mask;
-use crate::pose::{BeadVerdict, Pose, SeveralViews, Together, ViewAlone, register_masked, register_together};
+use crate::pose::{BeadVerdict, IntrinsicsPrior, Pose, SeveralViews, Together, ViewAlone, register_masked, register_together};
 use crate::reporter::Reporter;
 
 /// Standard deviation of a bead's place per axis where its description gives none, mm. A single frame trusts a layout more: it cannot
@@ -57,7 +57,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         if let Some(words) = seen.off_header(&pose) {
             pose.doubt(words);
         }
-        pose.hear_header(&seen.frame, false, seen.focal_sigma_px());
+        pose.hear_header(&seen.frame, false, IntrinsicsPrior::stated_focal_sigma_px(seen.prior.as_ref()));
         given.pass_doubt_on(number, &mut pose);
         pose.notes.extend(notes.into_iter().chain(seen.notes));
         if assumed > 0 {

@@ -55,7 +55,7 @@ fn together(lab: &Lab, views: &[ViewAlone], lps_mm: DVec3) -> Together {
 }
 
 const AMONG: DVec3 = DVec3::new(4.0, -6.0, 5.0);
-const BEYOND: DVec3 = DVec3::new(85.0, 24.0, -12.0);
+const BEYOND: DVec3 = DVec3::new(78.0, 20.0, -12.0);
 
 /// Whether the 95 % region of a pose's landmark holds the place where it is seen.
 fn is_held(pose: &Pose, view: &View, share: f64) -> bool {

@@ -82,6 +82,7 @@ mod pose_together;
 mod pose_unseen;
 mod pose_together_command;
 mod pose_together_flat;
+mod pose_together_round;
 mod pose_accuracy;
 mod pose_angles;
 mod pose_command;

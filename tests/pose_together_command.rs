@@ -73,11 +73,12 @@ fn frames_are_registered_together_by_the_command() {
     assert_eq!(out.status.code(), Some(3), "{out:?}");
     assert!(words.contains("3 of 4 views together") && words.contains("view 4: few.tif: refused: "), "{words}");
 
-    // Several frames with nothing said, and priors that do not pair.
+    // Several frames with nothing said, priors that do not pair, and a lens that one view has.
     for (words, expected) in [
         (&["--out", "P.json"][..], "3 frames are given"),
         (&["--together", "--prior", "solved/02-f1.json", "--out", "P.json"], "1 priors are given for 3 frames"),
         (&["--together", "--out", "f1.tif/POSES.json"], "f1.tif"),
+        (&["--together", "--distortion", "ii.json", "--out", "P.json"], "--distortion can be none alone"),
     ] {
         let out = run(words);
         let complaint = String::from_utf8_lossy(&out.stderr).into_owned();

@@ -13,7 +13,7 @@ use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{BeadResidual, Pose, Registration, register_masked, register_tagged};
+use crate::pose::{BeadResidual, IntrinsicsPrior, Pose, Registration, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -76,7 +76,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     if let Some(words) = pose.solved_k() {
         pose.cautions.push(format!("{words}, and depth is as uncertain as f is: give --intrinsics"));
     }
-    pose.hear_header(&seen.frame, intensifier.is_some(), seen.focal_sigma_px());
+    pose.hear_header(&seen.frame, intensifier.is_some(), IntrinsicsPrior::stated_focal_sigma_px(seen.prior.as_ref()));
     given.pass_doubt_on(0, &mut pose);
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {

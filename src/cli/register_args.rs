@@ -71,8 +71,8 @@ pub struct RegisterArgs {
     pub detector: Option<PathBuf>,
     /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
     /// undistorted picture. Of a picture that the console cropped, binned, enlarged or turned, say with --console how. none: there is none, the
-    /// detector is flat
-    #[arg(long, value_name = "FILE.json", conflicts_with = "together")]
+    /// detector is flat, which is all that can be said with --together
+    #[arg(long, value_name = "FILE.json")]
     pub distortion: Option<PathBuf>,
     /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those
     #[arg(

@@ -87,6 +87,11 @@ pub enum RegisterError {
         "--console solve finds cropping and enlargement from beads in an undistorted picture, and --distortion needs to know them first; state them, --console FILE.json"
     )]
     DistortedAndSolved,
+    /// Views are solved together as if each were straight.
+    #[error(
+        "--together solves views that nothing has bent: with it --distortion can be none alone; register distorted frames one by one"
+    )]
+    DistortedTogether,
     /// Nothing says what the panel's picture would be.
     #[error(
         "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"

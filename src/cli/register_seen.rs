@@ -142,11 +142,6 @@ impl Seen {
         off_header(&self.frame, whose, &Focal { px: focal_px, sigma_px, pitch_mm: self.pitch_mm })
     }
 
-    /// Standard deviation with which K's focal length is stated; 0 where it is known.
-    pub fn focal_sigma_px(&self) -> f64 {
-        self.prior.map_or(0.0, |prior| prior.focal_sigma_px)
-    }
-
     /// The request for one frame.
     pub fn request<'a>(&self, args: &RegisterArgs, given: &'a Given, prior: Option<&'a Prior>) -> Registration<'a> {
         Registration {

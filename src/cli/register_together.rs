@@ -9,7 +9,7 @@ use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use crate::image::{check_writable, refuse_same_content};
 use crate::mask;
-use crate::pose::{BeadVerdict, Pose, SeveralViews, Together, ViewAlone, register_masked, register_together};
+use crate::pose::{BeadVerdict, IntrinsicsPrior, Pose, SeveralViews, Together, ViewAlone, register_masked, register_together};
 use crate::reporter::Reporter;
 
 /// Standard deviation of a bead's place per axis where its description gives none, mm. A single frame trusts a layout more: it cannot
@@ -21,6 +21,9 @@ const SIGMA_MM: f64 = 0.15;
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
+    if args.distortion_file().is_some() {
+        return Err(RegisterError::DistortedTogether);
+    }
     let outputs = Outputs::of(args);
     // Of one picture two views would count as two.
     refuse_same_content(&args.frames)?;
@@ -40,7 +43,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         let console = match Console::of(args, &given, &stored, &mut notes)? {
             Ok(console) => console,
             Err(pose) => {
-                views.push(ViewAlone { name: path.display().to_string(), pose: *pose, prior: None });
+                views.push(ViewAlone { name: path.display().to_string(), pose: *pose, prior: None, round_field: None });
                 progress.advance(1);
                 continue;
             }
@@ -53,18 +56,20 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         }
         let prior = given.priors.get(number).map(|prior| prior.turned(seen.turn_rad));
         let request = seen.request(args, &given, prior.as_ref());
-        let mut pose = register_masked(&request, &seen.frame, &mask::of_frame(&seen.frame));
+        let masks = mask::of_frame(&seen.frame);
+        let mut pose = register_masked(&request, &seen.frame, &masks);
+        let round_field = request.round_field_of(&seen.frame, &masks);
         if let Some(words) = seen.off_header(&pose) {
             pose.doubt(words);
         }
-        pose.hear_header(&seen.frame, false, seen.focal_sigma_px());
+        pose.hear_header(&seen.frame, false, IntrinsicsPrior::stated_focal_sigma_px(seen.prior.as_ref()));
         given.pass_doubt_on(number, &mut pose);
         pose.notes.extend(notes.into_iter().chain(seen.notes));
         if assumed > 0 {
             pose.notes.push(format!("{assumed} bead positions without sigma_mm are taken to be good to {SIGMA_MM} mm per axis"));
         }
         intrinsics_prior = seen.prior;
-        views.push(ViewAlone { name: path.display().to_string(), pose, prior });
+        views.push(ViewAlone { name: path.display().to_string(), pose, prior, round_field });
         progress.advance(1);
     }
     let request = SeveralViews { layout: &given.layout, intrinsics_prior, landmarks: &given.landmarks, views: &views };

@@ -1,6 +1,7 @@
 //! The declared tone between acquired and simulated: fitted on alternate tiles, scored on the others.
 
 use crate::acquire::Domain;
+use crate::estimate::Line;
 use crate::image::{Image, quantile};
 
 /// What may be fitted between the simulated and the acquired image.
@@ -75,6 +76,8 @@ pub struct ToneFit {
 const KNOTS: usize = 5;
 /// Rounds of reweighting of the robust straight line.
 const ROUNDS: usize = 8;
+/// Least variance of the simulated line integrals that tells a slope, nepers².
+const LEAST_SPREAD: f64 = 1e-9;
 
 impl ToneFit {
     /// The identity.
@@ -188,27 +191,18 @@ fn robust_line(pairs: &[[f32; 2]]) -> Option<[f64; 2]> {
     let mut weights = vec![1.0f64; pairs.len()];
     let mut line = [0.0, 1.0];
     for _ in 0..ROUNDS {
-        let (mut w, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for ([s, a], weight) in pairs.iter().zip(&weights) {
-            let (s, a) = (f64::from(*s), f64::from(*a));
-            w += weight;
-            x += weight * s;
-            y += weight * a;
-            xx += weight * s * s;
-            xy += weight * s * a;
-        }
-        let determinant = w * xx - x * x;
-        if !(determinant > 1e-9 * w * w) {
+        let points = pairs.iter().zip(&weights).map(|([s, a], weight)| [f64::from(*s), f64::from(*a), *weight]);
+        let found = Line::through(points)?;
+        if !(found.covariance[1][1] * weights.iter().sum::<f64>() < 1.0 / LEAST_SPREAD) {
             return None;
         }
-        let slope = (w * xy - x * y) / determinant;
-        line = [(y - slope * x) / w, slope];
+        line = [found.intercept, found.slope];
         let residual = |pair: &[f32; 2]| f64::from(pair[1]) - line[0] - line[1] * f64::from(pair[0]);
         let mut sizes: Vec<f32> = pairs.iter().map(|pair| residual(pair).abs() as f32).collect();
         let limit = (1.345 * 1.4826 * quantile(&mut sizes, 0.5)?).max(1e-6);
         weights.iter_mut().zip(pairs).for_each(|(weight, pair)| *weight = (limit / residual(pair).abs().max(1e-12)).min(1.0));
     }
-    (line[0].is_finite() && line[1].is_finite()).then_some(line)
+    Some(line)
 }
 
 /// A monotone curve through knots at equal shares of the simulated values: medians of bins, made monotone by pooling adjacent

@@ -9,6 +9,8 @@
 //! blocks, and what every residual would have been had it been left out. What the residuals leave undetermined is an error that names
 //! the direction. Nothing here depends on thread order, hash order or time.
 //!
+//! A straight line needs none of this: [`Line`].
+//!
 //! Fits of one shadow to its pixels, or one ball to its voxels, take their steps by [`SmallSteps`], which says why.
 //!
 //! It is our own because neither apex-solver nor factrs leaves a residual out, nor weighs by what the state says; both find the same optimum.
@@ -30,6 +32,7 @@ mod left_out;
 mod solution;
 mod small_steps;
 mod median;
+mod line;
 
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};
@@ -38,6 +41,7 @@ pub use image_of_bead::{BeadImage, Place, plane_by_lens};
 pub use left_out::LeftOut;
 pub use levenberg::{Settings, Stop};
 pub use loss::Loss;
+pub use line::Line;
 pub use median::median;
 pub use motion::{Motion, about, deviation, left_jacobian_inverse, turned};
 pub use numeric::Numeric;

@@ -12,7 +12,7 @@ pub(super) fn is_of_looseness(words: &str) -> bool {
 /// What is said of a picture that an image intensifier may have bent.
 pub(super) const ROUND_FIELD: &str = "the frame's field is round";
 
-/// Whether a caution or a doubt is that one: with telemetry fused it is told anew.
+/// Whether a caution or a doubt is that one: with telemetry fused, or other views, it is told anew.
 pub(super) fn is_of_round_field(words: &str) -> bool {
     words.contains(ROUND_FIELD)
 }

@@ -75,17 +75,12 @@ impl IntrinsicsFile {
 }
 
 impl FrameK {
-    /// Standard deviation with which its focal length is stated; 0 where it is known.
-    #[must_use]
-    pub fn focal_sigma_px(&self) -> f64 {
-        self.prior.map_or(0.0, |prior| prior.focal_sigma_px)
-    }
-
     /// That the frame's header has another focal length, where it has one, or other pixels: the detector may stand elsewhere than when K, `whose`
     /// it is, was measured, or a console has enlarged the picture.
     #[must_use]
     pub fn off_header(&self, frame: &Frame, whose: &str) -> Option<String> {
-        let focal = Focal { px: self.intrinsics.fx, sigma_px: self.focal_sigma_px(), pitch_mm: self.pitch_mm };
+        let sigma_px = IntrinsicsPrior::stated_focal_sigma_px(self.prior.as_ref());
+        let focal = Focal { px: self.intrinsics.fx, sigma_px, pitch_mm: self.pitch_mm };
         off_header(frame, whose, &focal).or_else(|| self.off_pitch(frame))
     }
 
@@ -118,10 +113,12 @@ mod tests {
     #[test]
     fn numbers_of_k_go_together_through_binning_and_console() {
         let k = |console: Option<&ConsoleGeometry>, stored_px| file().of_frame(console, stored_px);
-        let told = |k: FrameK| [k.intrinsics.fx, k.prior.map_or(0.0, |prior| prior.mean.fx), k.focal_sigma_px()];
+        let sigma_px = |k: FrameK| IntrinsicsPrior::stated_focal_sigma_px(k.prior.as_ref());
+        let told = |k: FrameK| [k.intrinsics.fx, k.prior.map_or(0.0, |prior| prior.mean.fx), sigma_px(k)];
         let whole = k(None, [620, 480]).expect("its own size");
         assert_eq!((whole.intrinsics, whole.pitch_mm, whole.turn_rad, whole.binning), (file().intrinsics, Some(0.4), 0.0, 1));
-        assert!((whole.focal_sigma_px() - 10.0).abs() < 1e-9, "{whole:?}");
+        assert!((sigma_px(whole) - 10.0).abs() < 1e-9, "{whole:?}");
+        assert_eq!(IntrinsicsPrior::stated_focal_sigma_px(None), 0.0, "K that is known");
         let scaled = [told(whole).map(|px| 0.5 * px), told(whole).map(|px| 2.0 * px)];
         let binned = k(None, [310, 240]).expect("a whole binning");
         assert_eq!((binned.pitch_mm, binned.binning), (Some(0.8), 2));

@@ -75,7 +75,7 @@ pub(super) fn without_ghost(
         });
         return Pose { reason, ..pose };
     }
-    let own = |seen: &Detection| now.shadows.iter().find(|shadow| shadow.image_px == seen.image_px.to_array()).cloned();
+    let own = |seen: &Detection| now.shadows.iter().find(|shadow| shadow.is_of(seen)).cloned();
     let shadows: Vec<Shadow> = detections.iter().map(|seen| own(seen).unwrap_or_else(|| Shadow::of(seen, None))).collect();
     (now.shadows, now.detections) = (shadows, detections.len());
     let explained = now.explained.get_or_insert_default();
@@ -94,7 +94,8 @@ pub(super) fn without_ghost(
 fn ghost(request: &Registration, now: &Pose, former: &Pose, detections: &[Detection]) -> Option<Ghost> {
     let ((_, own), (_, other)) = now.camera().zip(former.camera())?;
     let named = former.shadows.iter().filter_map(|shadow| shadow.bead.as_deref());
-    let pair = |bead: &str| Some((shadow_of(now, bead, detections)?, shadow_of(former, bead, detections)?));
+    let seen = |pose: &Pose, bead: &str| Shadow::detected(&pose.shadows, bead, detections);
+    let pair = |bead: &str| Some((seen(now, bead)?, seen(former, bead)?));
     let (matched, pairs): (usize, Vec<(&Detection, &Detection)>) = (named.clone().count(), named.filter_map(pair).collect());
     let times_of = |(clear, faint): &(&Detection, &Detection)| clear.contrast / faint.contrast;
     let times = median(pairs.iter().map(times_of))?;
@@ -113,12 +114,6 @@ fn ghost(request: &Registration, now: &Pose, former: &Pose, detections: &[Detect
     let (angle_rad, shift_mm) = apart(&other, &own, request.layout.centroid_lps_mm());
     let found = FoundReading { matched, rms_px: former.rms_px?, angle_deg: angle_rad.to_degrees(), shift_mm };
     Some(Ghost { found, times })
-}
-
-/// The shadow that a pose has for a bead.
-fn shadow_of<'d>(pose: &Pose, bead: &str, detections: &'d [Detection]) -> Option<&'d Detection> {
-    let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead))?;
-    detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px)
 }
 
 /// Contrasts that may part clear shadows from faint ones, in the middle of the widest gap first; a pose's fewest shadows lie on either side.

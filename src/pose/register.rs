@@ -200,9 +200,7 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         }
         _ => pose,
     };
-    let is_used = |seen: &&Detection| {
-        pose.shadows.iter().any(|shadow| shadow.bead.is_some() && shadow.image_px == seen.image_px.to_array())
-    };
+    let is_used = |seen: &&Detection| pose.shadows.iter().any(|shadow| shadow.bead.is_some() && shadow.is_of(seen));
     let least = |of: fn(&Detection) -> f64| detections.iter().filter(is_used).map(of).fold(f64::INFINITY, f64::min);
     let (snr, quality) = (least(|seen| seen.snr), LIKE_A_BEAD * least(|seen| seen.quality));
     let as_clear = placed(seen).skip(MOST_DETECTIONS).filter(|other| other.snr >= snr && other.quality >= quality).count();
@@ -243,9 +241,8 @@ fn without_radii(
     let camera_from_lps = without.camera_from_lps.filter(|_| without.is_accepted())?;
     let own = |bead: &BeadResidual| {
         let index = request.layout.beads.iter().position(|other| other.name == bead.name)?;
-        let shadow = without.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()))?;
         let depth_mm = camera_from_lps.transform_point(without.place_of(&bead.body, bead.lps_mm)).z;
-        let seen = detections.iter().find(|seen| seen.image_px.to_array() == shadow.image_px)?;
+        let seen = Shadow::detected(&without.shadows, &bead.name, detections)?;
         Some(SizedShadow::new(seen, intrinsics.fx * stated(index)? / depth_mm))
     };
     let radii = RadiusRatio::of(without.beads.iter().filter(|bead| bead.used).filter_map(own).collect())?;

@@ -80,7 +80,8 @@ impl<'a> Registration<'a> {
     }
 
     /// The round field of `frame`, unless somebody says what took it. A round collimator before a flat panel looks like an intensifier's.
-    pub(super) fn round_field_of(&self, frame: &Frame, masks: &Masks) -> Option<Disc> {
+    #[must_use]
+    pub fn round_field_of(&self, frame: &Frame, masks: &Masks) -> Option<Disc> {
         let is_told = self.is_flat || self.distortion.is_some() || frame.tags.names_flat_panel();
         masks.disc.filter(|_| !is_told)
     }

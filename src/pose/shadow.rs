@@ -39,6 +39,17 @@ impl Shadow {
         let (quality, misfit) = (Some(quality), Some(misfit));
         Self { image_px: image_px.to_array(), sigma_px, covariance_px2, radius_px, snr, quality, misfit, flags, bead }
     }
+
+    /// Whether it is what `detection` became in the file.
+    pub(super) fn is_of(&self, detection: &Detection) -> bool {
+        self.image_px == detection.image_px.to_array()
+    }
+
+    /// What was detected of a bead, by the shadow of `shadows` that was matched to it.
+    pub(super) fn detected<'d>(shadows: &[Self], bead: &str, detections: &'d [Detection]) -> Option<&'d Detection> {
+        let shadow = shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead))?;
+        detections.iter().find(|detection| shadow.is_of(detection))
+    }
 }
 
 /// A 2×2 covariance from uu, uv, vv.
@@ -64,6 +75,11 @@ mod tests {
         };
         let own = Shadow::of(&detection, Some("b1".to_owned()));
         assert_eq!((own.flags, own.quality, own.misfit), (flags, Some(0.7), Some(0.02)));
+        let other = Detection { image_px: DVec2::new(3.0, 4.5), ..detection };
+        assert!(own.is_of(&detection) && !own.is_of(&other));
+        let shadows = [Shadow::of(&other, None), own.clone()];
+        let found = |bead: &str| Shadow::detected(&shadows, bead, &[other, detection]).map(|found| found.image_px);
+        assert_eq!([found("b1"), found("b2")], [Some(detection.image_px), None]);
         let text = serde_json::to_string(&own).expect("JSON");
         assert!(text.contains(r#""flags":{"overlapping":true,"over_structure":true}"#), "{text}");
         assert_eq!(serde_json::from_str::<Shadow>(&text).expect("reads what it writes"), own);

@@ -89,6 +89,12 @@ impl IntrinsicsPrior {
         Self { mean, focal_sigma_px: focal_px * relative, centre_sigma_px: [centre_sigma_px; 2] }
     }
 
+    /// Standard deviation with which a focal length is stated; 0 where there is no prior: it is known.
+    #[must_use]
+    pub fn stated_focal_sigma_px(prior: Option<&Self>) -> f64 {
+        prior.map_or(0.0, |prior| prior.focal_sigma_px)
+    }
+
     /// K of the same detector with `factor` × `factor` pixels averaged into one.
     #[must_use]
     pub fn binned(&self, factor: f64) -> Self {

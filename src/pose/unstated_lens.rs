@@ -13,9 +13,10 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3};
 
 use super::cautions::ROUND_FIELD;
 use super::flat::along_worst_px;
+use super::record::Pose;
 use super::request::Registration;
 use super::settle::Settled;
-use super::solve::{Match, Sharpness, Solution, Stated, point_by_pose, problem};
+use super::solve::{Match, Sharpness, Solution, Stated, about, point_by_pose, problem};
 use crate::estimate::{Loss, Reading, Settings, plane_by_lens};
 
 /// k1, p1, p2 and s of the lens. About another centre than K's a pincushion has terms of p1 and p2.
@@ -41,7 +42,7 @@ const MEASURE: &str = "measure it with `sidecarm calibrate intensifier` and give
 /// What bends a picture that nobody has straightened, as far as the beads leave it open.
 #[derive(Clone, Debug)]
 pub(super) struct UnstatedLens {
-    /// B: what is solved × terms.
+    /// B: what is solved × terms, the pose about the centroid that the solution has.
     by_lens: DMatrix<f64>,
     /// C + μμᵀ.
     moment: DMatrix<f64>,
@@ -54,6 +55,16 @@ pub(super) enum Bends {
     AtPlace(String),
     /// Only at the field's edge, where nobody asks: a note.
     AtEdge(String),
+}
+
+impl Bends {
+    /// Says so of an accepted pose.
+    pub fn tell(self, pose: &mut Pose) {
+        match self {
+            Self::AtPlace(words) => pose.doubt(words),
+            Self::AtEdge(words) => pose.notes.push(words),
+        }
+    }
 }
 
 impl UnstatedLens {
@@ -106,7 +117,12 @@ impl UnstatedLens {
         let covariance = estimate.covariance().ok()?.of(&[camera.into(), k.into(), lens.into()]);
         let solved = covariance.ncols() - terms;
         let own = covariance.view((solved, solved), (terms, terms)).into_owned();
-        let by_lens = covariance.view((0, solved), (solved, terms)).into_owned() * own.clone().try_inverse()?;
+        let mut by_lens = covariance.view((0, solved), (solved, terms)).into_owned() * own.clone().try_inverse()?;
+        // A solution of several views is about the centroid of more beads than this one shows.
+        let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len() as f64;
+        let centred = about(settled.solution.centroid_mm - camera_from_lps.transform_point(mean_lps));
+        let of_pose = DMatrix::from_fn(6, 6, |i, j| centred[(i, j)]) * by_lens.rows(0, 6);
+        by_lens.rows_mut(0, 6).copy_from(&of_pose);
         let numbers = estimate.state().vector(lens);
         let mean = DVector::from_fn(terms, |n, _| numbers[TERMS[n]]);
         let moment = own + &mean * mean.transpose();
@@ -290,6 +306,24 @@ mod tests {
             let held = (0..40).filter(|seed| squares(*seed, [k, 0.0], BEYOND)[1] <= 5.99).count();
             assert!(held >= 36, "{held} of 40 with a pincushion of {k}");
         }
+    }
+
+    /// What the lens adds to a place does not depend on the point that the pose is said about.
+    #[test]
+    fn what_a_lens_adds_is_the_same_about_any_centroid() {
+        let (near, _) = settled(5, [0.02, 0.0]);
+        let layout = BeadLayout::none();
+        let request = Registration { round_field: Some(FIELD), ..Registration::new([1024; 2], &layout) };
+        let added = |settled: &Settled| {
+            let lens = UnstatedLens::of(&request, settled).expect("regular");
+            let image = lens.image_px2(&settled.solution, BEYOND).expect("in front");
+            (along_worst_px(&image), lens.camera_mm2(&settled.solution, BEYOND).trace().sqrt())
+        };
+        let own = added(&near);
+        let mut far = near;
+        far.solution.centroid_mm += DVec3::new(30.0, -20.0, 15.0);
+        let other = added(&far);
+        assert!(own.0 > 1.0 && (other.0 / own.0 - 1.0).abs() < 1e-6 && (other.1 / own.1 - 1.0).abs() < 1e-6, "{own:?} {other:?}");
     }
 
     #[test]

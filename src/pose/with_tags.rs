@@ -11,7 +11,7 @@ use super::residual::TagResidual;
 use super::settle::Settled;
 use super::solve::{Free, Options, Solution, about, deviation};
 use super::tagged::{CORNER_SIGMA_PX, TOLD_APART, TagPose, View, corners, estimate, off_by, views};
-use super::unstated_lens::{Bends, UnstatedLens};
+use super::unstated_lens::UnstatedLens;
 use crate::acquire::Frame;
 use crate::beads::tags::{SeenTag, TagLayout};
 use crate::geometry::{Intrinsics, Rigid};
@@ -267,10 +267,8 @@ impl Tags<'_> {
         let (lens, bends) = UnstatedLens::heard(self.request, &settled);
         let mut pose = self.case().accept(&settled, &found.covariance(), lens.as_ref(), 0.0, notes);
         (pose.chance, pose.fused) = (None, false);
-        match bends {
-            Some(Bends::AtPlace(words)) => pose.doubt(words),
-            Some(Bends::AtEdge(words)) => pose.notes.push(words),
-            None => {}
+        if let Some(bends) = bends {
+            bends.tell(&mut pose);
         }
         for view in self.views {
             if pose.bodies.iter().all(|body| body.name != view.tag.body) {

@@ -222,7 +222,7 @@ impl PoseJob {
         } else if let Some(words) = pose.solved_k() {
             pose.doubt(format!("{words}, and depth is as uncertain as f is: {K_REMEDY}"));
         }
-        let focal_sigma_px = self.intrinsics_prior.map_or(0.0, |prior| prior.focal_sigma_px);
+        let focal_sigma_px = IntrinsicsPrior::stated_focal_sigma_px(self.intrinsics_prior.as_ref());
         pose.hear_header(&self.bound.frame, self.intensifier.is_some(), focal_sigma_px);
         pose
     }

@@ -253,6 +253,8 @@ impl Weighed<'_> {
             let Some(Ended { shot, .. }) = at.map(|at| sequence.ended[at]) else { continue };
             let said = &pending.evidence;
             let index = self.known.shots.get(shot).index;
+            // Of a file whose images have exposures of their own this is one image's. Beside another of them the file counts as elsewhere, and there
+            // is no verdict: its stamp and count are not of that one. Other frames get none of them, for each exposure says whose it is.
             let elsewhere = pending.binding.exposure.as_ref().is_some_and(|exposure| exposure.index != index);
             if elsewhere || self.known.shots.get(shot).frame.is_some_and(|frame| frame != said.frame) {
                 return false;

@@ -165,18 +165,10 @@ fn outliers(frames: &[(&PanelFrame, f64)], offset: &Offset) -> Vec<(usize, Strin
     let mut found = Vec::new();
     let typical: Vec<f64> =
         (0..blocks.len()).map(|block| median(shapes.iter().map(|shape| shape[block] as f32).collect())).collect();
-    // A block is as uncertain as its pixels are few.
-    let pixels = (width * height) as f64 / blocks.len() as f64;
-    let uncertainty = |block: usize| {
-        let [left, top, right, bottom] = blocks[block];
-        (pixels / ((right - left) * (bottom - top)) as f64).sqrt()
-    };
     for (index, shape) in shapes.iter().enumerate() {
         let relative: Vec<f64> = shape.iter().zip(&typical).map(|(a, b)| if *b > 0.0 { a / b - 1.0 } else { 0.0 }).collect();
         let (centre, deviation) = median_and_deviation(&relative);
-        let excess = |block: usize| {
-            (relative[block] - centre).abs() / (OUTLIER_SIGMAS * deviation * uncertainty(block)).max(OUTLIER_SHARE)
-        };
+        let excess = |block: usize| (relative[block] - centre).abs() / (OUTLIER_SIGMAS * deviation).max(OUTLIER_SHARE);
         let worst = (0..blocks.len()).max_by(|a, b| excess(*a).total_cmp(&excess(*b)));
         let Some(block) = worst else { continue };
         if !(excess(block) <= 1.0) {

@@ -10,25 +10,15 @@
 
 use super::error::DetectorError;
 use super::measured::MeasuredBeam;
-use super::offset::{Offset, has_levels, of_exposures};
+use super::offset::{Offset, has_levels, of_exposures, student};
+use crate::estimate::Line;
 use crate::image::Image;
 
-/// Student's 95 % over the normal's, of so few degrees of freedom in all, from one on: they say little of how the output scatters.
-const STUDENT: [f64; 5] = [6.48, 2.20, 1.62, 1.42, 1.31];
 /// The weights follow the line.
 const ROUNDS: usize = 4;
 /// The output's scatter is found by halving; frames that scatter by more are left out before.
 const MOST_SCATTER: f64 = 0.1;
 const HALVINGS: usize = 40;
-
-#[derive(Clone, Copy, Debug)]
-struct Line {
-    intercept: f64,
-    sigma: f64,
-    /// Per mAs.
-    slope: f64,
-    chi2: f64,
-}
 
 /// The frames of a beam.
 struct Beam<N> {
@@ -56,10 +46,13 @@ pub(super) fn refined(
     let beams: Vec<_> = beams.filter(|beam| has_levels(&beam.points)).collect();
     let scatter = scatter(&beams, first.median);
     let freedom = beams.iter().map(|beam| beam.points.len() - 2).sum::<usize>();
-    let few = freedom.checked_sub(1).and_then(|at| STUDENT.get(at)).copied().unwrap_or(1.0);
     let of_line = |beam: &Beam<_>| {
         let line = beam.line(first.median, scatter)?;
-        Some((line.intercept, few * line.sigma, beam.points.iter().map(|point| point[1]).fold(0.0, f64::max)))
+        Some((
+            line.intercept,
+            student(freedom) * line.intercept_sigma(),
+            beam.points.iter().map(|point| point[1]).fold(0.0, f64::max),
+        ))
     };
     let Some(best) = beams.iter().filter_map(of_line).min_by(|a, b| a.1.total_cmp(&b.1)) else {
         notes.push(format!(
@@ -104,30 +97,12 @@ impl<N: Fn(f64) -> f64> Beam<N> {
         let mut found = None;
         for _ in 0..ROUNDS {
             let variance = |mas: f64| (self.noise)(slope * mas) + (scatter * slope * mas).powi(2);
-            let line = weighted(&self.points, variance)?;
+            let line = Line::through(self.points.iter().map(|&[mas, value]| [mas, value, 1.0 / variance(mas)]))?;
             slope = line.slope;
             found = Some(line);
         }
-        found.filter(|line| line.intercept.is_finite() && line.sigma.is_finite())
+        found
     }
-}
-
-fn weighted(points: &[[f64; 2]], variance: impl Fn(f64) -> f64) -> Option<Line> {
-    let mut sums = [0.0f64; 5];
-    for [x, y] in points {
-        let weight = 1.0 / variance(*x);
-        for (sum, term) in sums.iter_mut().zip([1.0, *x, x * x, *y, x * y]) {
-            *sum += weight * term;
-        }
-    }
-    let [w, x, xx, y, xy] = sums;
-    let determinant = w * xx - x * x;
-    if !(determinant > 0.0) {
-        return None;
-    }
-    let (intercept, slope) = ((xx * y - x * xy) / determinant, (w * xy - x * y) / determinant);
-    let chi2 = points.iter().map(|[x, y]| (y - intercept - slope * x).powi(2) / variance(*x)).sum();
-    Some(Line { intercept, sigma: (xx / determinant).sqrt(), slope, chi2 })
 }
 
 #[cfg(test)]
@@ -157,15 +132,15 @@ mod tests {
         let (quiet, scatter) = found(&[(0.0, 0.1)]);
         let quiet = quiet[0];
         assert_eq!(scatter, 0.0);
-        assert!((quiet.intercept - 200.0).abs() < 2.0 * quiet.sigma, "{quiet:?}");
+        assert!((quiet.intercept - 200.0).abs() < 2.0 * quiet.intercept_sigma(), "{quiet:?}");
         // A variance of 0.1 x at x mAs: the inverse of the normal equations is 0.1 Σx / (Σ1/x Σx − (Σ1)²), of Σ1/x = 3.75, Σ1 = 8 and
         // Σx = 30.
-        assert!((quiet.sigma - (0.1f64 * 30.0 / 48.5).sqrt()).abs() < 1e-3, "{quiet:?}");
+        assert!((quiet.intercept_sigma() - (0.1f64 * 30.0 / 48.5).sqrt()).abs() < 1e-3, "{quiet:?}");
         let (scattering, _) = found(&[(0.01, 0.1)]);
         let scattering = scattering[0];
-        assert!(scattering.sigma > 10.0 * quiet.sigma, "{scattering:?}");
+        assert!(scattering.intercept_sigma() > 10.0 * quiet.intercept_sigma(), "{scattering:?}");
         assert!((scattering.chi2 / 6.0 - 1.0).abs() < 1e-3, "{scattering:?}");
-        assert!((scattering.intercept - 200.0).abs() < 2.0 * scattering.sigma, "{scattering:?}");
+        assert!((scattering.intercept - 200.0).abs() < 2.0 * scattering.intercept_sigma(), "{scattering:?}");
     }
 
     /// A beam whose frames lie on their line by chance was as sure as its quanta allow, and was taken.
@@ -173,6 +148,6 @@ mod tests {
     fn the_tube_scatters_alike_in_all_its_beams() {
         let (lines, scatter) = found(&[(0.01, 0.1), (0.0, 0.1)]);
         assert!((0.003..0.02).contains(&scatter), "{scatter}");
-        assert!(lines[1].sigma > 0.9 * lines[0].sigma, "{lines:?}");
+        assert!(lines[1].intercept_sigma() > 0.9 * lines[0].intercept_sigma(), "{lines:?}");
     }
 }

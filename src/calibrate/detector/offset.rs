@@ -4,6 +4,7 @@
 use super::error::DetectorError;
 use super::groups::{Group, median, median_and_deviation};
 use super::measurement::PanelFrame;
+use crate::estimate::Line;
 use crate::image::Image;
 
 pub(super) struct Offset {
@@ -37,6 +38,10 @@ const SAME_MAS: f64 = 0.02;
 const LEAST_LEVELS: usize = 3;
 /// An offset that is less certain than this share of the largest signal is not used.
 const MOST_UNCERTAIN: f64 = 5e-3;
+/// Student's 95 % over the normal's, of so few degrees of freedom in all, from one on: they say little of how the output scatters.
+const STUDENT: [f64; 5] = [6.48, 2.20, 1.62, 1.42, 1.31];
+/// Weights follow the signal above the offset, so they are found in rounds.
+const ROUNDS: usize = 6;
 /// Maps are kept in steps of this, so that they pack.
 const STEP: f64 = 1.0 / 64.0;
 
@@ -118,24 +123,66 @@ pub(super) fn clipped_variance(values: &[f64]) -> f64 {
     variance
 }
 
-/// `signal = offset + k · mAs`, every frame with the same relative weight: tube output scatters by a share of itself.
+/// `signal = offset + k · mAs`, every frame with the same relative weight: tube output scatters by a share of itself, one tube's in all its
+/// beams. By its own residuals alone a beam of few frames would often be the best by chance. Where the frames of one beam contradict each
+/// other, the rest may tell without it, if they are enough to say how the output scatters.
 fn from_exposures(groups: &[Group]) -> Result<Offset, DetectorError> {
-    let mut best: Option<(f64, f64, f64)> = None;
-    for group in groups {
-        let points: Vec<[f64; 2]> =
-            group.frames.iter().filter_map(|f| Some([f.exposure_mas?, median(f.pixels.pixels.clone())])).collect();
-        if !has_levels(&points) {
-            continue;
+    let mut beams: Vec<OfExposures> = groups.iter().filter_map(OfExposures::new).collect();
+    beams.sort_by(|a, b| a.scatter().total_cmp(&b.scatter()));
+    loop {
+        let found = of_exposures(best_of(&beams));
+        let others = beams.len().saturating_sub(1);
+        if found.is_ok() || beams[..others].iter().map(|beam| beam.freedom).sum::<usize>() <= STUDENT.len() {
+            return found;
         }
-        let fitted = weighted_line(&points);
-        let largest = points.iter().map(|point| point[1]).fold(0.0, f64::max);
-        if let Some((intercept, sigma)) = fitted
-            && best.is_none_or(|(_, found, _)| sigma < found)
-        {
-            best = Some((intercept, sigma, largest));
-        }
+        beams.truncate(others);
     }
-    of_exposures(best)
+}
+
+/// The line of a beam's medians by their mAs.
+struct OfExposures {
+    /// Its weights are those of an output that scatters by all of itself.
+    line: Line,
+    freedom: usize,
+    largest: f64,
+}
+
+impl OfExposures {
+    fn new(group: &Group) -> Option<Self> {
+        let frames = group.frames.iter();
+        let points: Vec<[f64; 2]> =
+            frames.filter_map(|frame| Some([frame.exposure_mas?, median(frame.pixels.pixels.clone())])).collect();
+        if !has_levels(&points) {
+            return None;
+        }
+        let mut found: Option<Line> = None;
+        for _ in 0..ROUNDS {
+            let offset = found.map_or(0.0, |line| line.intercept);
+            let weighed = points.iter().map(|&[mas, value]| [mas, value, 1.0 / (value - offset).max(1.0).powi(2)]);
+            found = Some(Line::through(weighed)?);
+        }
+        let largest = points.iter().map(|point| point[1]).fold(0.0, f64::max);
+        Some(Self { line: found?, freedom: points.len() - 2, largest })
+    }
+
+    /// The square of the share by which the output scatters.
+    fn scatter(&self) -> f64 {
+        self.line.chi2 / self.freedom as f64
+    }
+}
+
+/// The intercept of the beam that gives it best, its standard deviation by the scatter of all of them, and the beam's largest value.
+fn best_of(beams: &[OfExposures]) -> Option<(f64, f64, f64)> {
+    let freedom = beams.iter().map(|beam| beam.freedom).sum::<usize>();
+    let share = (beams.iter().map(|beam| beam.line.chi2).sum::<f64>() / freedom as f64).sqrt();
+    let sigma = |beam: &OfExposures| student(freedom) * share * beam.line.intercept_sigma();
+    let found = beams.iter().map(|beam| (beam.line.intercept, sigma(beam), beam.largest));
+    found.min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// How much wider a standard deviation is that rests on so few degrees of freedom.
+pub(super) fn student(freedom: usize) -> f64 {
+    freedom.checked_sub(1).and_then(|at| STUDENT.get(at)).copied().unwrap_or(1.0)
 }
 
 /// Whether `points`, mAs and value, are of enough levels.
@@ -165,27 +212,67 @@ pub(super) fn of_exposures(best: Option<(f64, f64, f64)>) -> Result<Offset, Dete
     })
 }
 
-/// Intercept and its standard deviation; weights follow the signal above the offset, so they are found in rounds.
-fn weighted_line(points: &[[f64; 2]]) -> Option<(f64, f64)> {
-    let mut intercept = 0.0;
-    let mut sigma = f64::NAN;
-    for _ in 0..6 {
-        let mut sums = [0.0f64; 5];
-        for [x, y] in points {
-            let weight = 1.0 / (y - intercept).max(1.0).powi(2);
-            for (sum, term) in sums.iter_mut().zip([1.0, *x, x * x, *y, x * y]) {
-                *sum += weight * term;
-            }
-        }
-        let [w, x, xx, y, xy] = sums;
-        let determinant = w * xx - x * x;
-        if !(determinant > 0.0) {
-            return None;
-        }
-        intercept = (xx * y - x * xy) / determinant;
-        let slope = (w * xy - x * y) / determinant;
-        let chi: f64 = points.iter().map(|p| ((p[1] - intercept - slope * p[0]) / (p[1] - intercept).max(1.0)).powi(2)).sum();
-        sigma = (chi / (points.len() as f64 - 2.0).max(1.0) * xx / determinant).sqrt();
+#[cfg(test)]
+mod tests {
+    use super::super::groups::Beam;
+    use super::*;
+
+    /// Of frames of one pixel each: mAs and value.
+    fn found(beams: &[Vec<[f64; 2]>]) -> Result<Offset, DetectorError> {
+        let frame = |[mas, value]: &[f64; 2]| PanelFrame {
+            label: "air".to_owned(),
+            pixels: Image::filled(1, 1, *value as f32),
+            tube_kvp: Some(70.0),
+            filter: None,
+            exposure_mas: Some(*mas),
+            source_to_detector_mm: None,
+        };
+        let frames: Vec<Vec<PanelFrame>> = beams.iter().map(|points| points.iter().map(frame).collect()).collect();
+        let group =
+            |frames| Group { beam: Beam { kvp: Some(70.0), filter: None }, frames, saturated: Vec::new(), left_out: Vec::new() };
+        from_exposures(&frames.iter().map(|frames| group(frames.iter().collect())).collect::<Vec<_>>())
     }
-    (intercept.is_finite() && sigma.is_finite()).then_some((intercept, sigma))
+
+    /// Two frames of 1, 2, 4 and 8 mAs above 200, each off by a share of its signal.
+    fn many(per_mas: f64, share: f64) -> Vec<[f64; 2]> {
+        let sides = [1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0];
+        let point = |(nth, side): (usize, f64)| {
+            let mas = [1.0, 2.0, 4.0, 8.0][nth / 2];
+            [mas, 200.0 + per_mas * mas * (1.0 + share * side)]
+        };
+        sides.into_iter().enumerate().map(point).collect()
+    }
+
+    /// Three frames that lie on a line by chance were as sure as their residuals, and taken before eight that scatter.
+    #[test]
+    fn an_offset_is_as_sure_as_the_frames_of_all_beams() {
+        let lucky = [1.0, 2.0, 4.0].map(|mas| [mas, 212.0 + 400.0 * mas]).to_vec();
+        let offset = found(&[many(1000.0, 0.01), lucky]).expect("two beams");
+        assert!(
+            (offset.median - 200.0).abs() < 2.0 * offset.sigma && offset.sigma < 12.0,
+            "{} ± {}",
+            offset.median,
+            offset.sigma
+        );
+        // Alone, of one degree of freedom, three frames that do scatter tell too little.
+        let few = [[1.0, 1.01], [2.0, 0.99], [4.0, 1.01]].map(|[mas, share]| [mas, 200.0 + 1000.0 * mas * share]).to_vec();
+        assert!(found(std::slice::from_ref(&few)).is_err());
+        assert!(found(&[few, many(1000.0, 0.01)]).is_ok());
+    }
+
+    #[test]
+    fn a_frame_with_another_ones_exposure_takes_no_offset_from_a_beam_of_enough_frames() {
+        let mut wrong = many(1000.0, 0.001);
+        wrong[3][0] = 4.0;
+        let offset = found(&[wrong.clone(), many(1500.0, 0.001)]).expect("the second beam");
+        assert!((offset.median - 200.0).abs() < 2.0 * offset.sigma && offset.sigma < 3.0, "{} ± {}", offset.median, offset.sigma);
+        let few = [[1.0, 1.001], [2.0, 0.999], [4.0, 1.001]].map(|[mas, share]| [mas, 200.0 + 1500.0 * mas * share]).to_vec();
+        assert!(found(&[wrong, few]).is_err(), "which of the two is wrong nobody knows");
+    }
+
+    #[test]
+    fn exposures_that_do_not_determine_an_offset_give_none() {
+        let same = vec![[2.0, 900.0], [2.0, 905.0], [2.01, 903.0], [2.0, 898.0]];
+        assert!(found(&[same]).is_err() && found(&[Vec::new()]).is_err() && found(&[]).is_err());
+    }
 }

@@ -12,6 +12,7 @@ use super::air::Consistent;
 use super::error::DetectorError;
 use super::measurement::PanelFrame;
 use super::offset::Offset;
+use crate::estimate::Line;
 use crate::image::Image;
 
 pub(super) struct Transfer {
@@ -130,7 +131,7 @@ pub(super) fn find(
         let summed = |point: &Point| point.variance + 2.0 * seen.iter().map(|&k| point.covariances[k]).sum::<f64>();
         let line = line(&points, summed, readout);
         // Every covariance scatters as the variance does, by √2 less, and counts twice.
-        Line { slope_sigma: line.slope_sigma * (1.0 + 2.0 * seen.len() as f64).sqrt(), ..line }
+        VarianceLine { slope_sigma: line.slope_sigma * (1.0 + 2.0 * seen.len() as f64).sqrt(), ..line }
     };
     if !(chosen.slope > 0.0 && chosen.slope.is_finite()) {
         return Err(DetectorError::NoTransfer { beam: group.beam.words(), slope: chosen.slope });
@@ -175,8 +176,9 @@ fn common_to_lines(correlations: &[f64], shares: impl Fn(usize) -> bool) -> Resu
     }
 }
 
+/// The variance of a pixel by its signal.
 #[derive(Clone, Copy)]
-struct Line {
+struct VarianceLine {
     slope: f64,
     slope_sigma: f64,
     end: f64,
@@ -184,31 +186,30 @@ struct Line {
 }
 
 /// Weighted least squares; the end of the line is `fixed` where darks give it. Weights follow the line itself, not the scattered points,
-/// which would pull it down.
-fn line(points: &[Point], value: impl Fn(&Point) -> f64, fixed: Option<f64>) -> Line {
-    let mut found = Line { slope: 1.0, slope_sigma: f64::NAN, end: fixed.unwrap_or(0.0), end_sigma: 0.0 };
+/// which would pull it down. Its slope is NaN where the points do not determine it.
+fn line(points: &[Point], value: impl Fn(&Point) -> f64, fixed: Option<f64>) -> VarianceLine {
+    let mut found = VarianceLine { slope: 1.0, slope_sigma: f64::NAN, end: fixed.unwrap_or(0.0), end_sigma: 0.0 };
     for round in 0..6 {
-        let mut sums = [0.0f64; 5];
-        for point in points {
-            let expected = if round == 0 { point.variance } else { found.end + found.slope * point.signal };
-            let weight = point.pixels / (2.0 * expected.max(1e-6).powi(2));
-            let y = value(point) - fixed.unwrap_or(0.0);
-            for (sum, term) in sums.iter_mut().zip([1.0, point.signal, point.signal * point.signal, y, point.signal * y]) {
-                *sum += weight * term;
-            }
-        }
-        let [w, x, xx, y, xy] = sums;
+        let before = found;
+        let weighed = points.iter().map(|point| {
+            let expected = if round == 0 { point.variance } else { before.end + before.slope * point.signal };
+            [point.signal, value(point), point.pixels / (2.0 * expected.max(1e-6).powi(2))]
+        });
         found = match fixed {
-            Some(end) => Line { slope: xy / xx, slope_sigma: 1.0 / xx.sqrt(), end, end_sigma: 0.0 },
-            None => {
-                let determinant = w * xx - x * x;
-                Line {
-                    slope: (w * xy - x * y) / determinant,
-                    slope_sigma: (w / determinant).sqrt(),
-                    end: (xx * y - x * xy) / determinant,
-                    end_sigma: (xx / determinant).sqrt(),
-                }
+            Some(end) => {
+                let (xx, xy) =
+                    weighed.fold((0.0, 0.0), |(xx, xy), [x, y, weight]| (xx + weight * x * x, xy + weight * x * (y - end)));
+                VarianceLine { slope: xy / xx, slope_sigma: 1.0 / xx.sqrt(), end, end_sigma: 0.0 }
             }
+            None => match Line::through(weighed) {
+                Some(line) => VarianceLine {
+                    slope: line.slope,
+                    slope_sigma: line.slope_sigma(),
+                    end: line.intercept,
+                    end_sigma: line.intercept_sigma(),
+                },
+                None => return VarianceLine { slope: f64::NAN, slope_sigma: f64::NAN, end: f64::NAN, end_sigma: f64::NAN },
+            },
         };
     }
     found

@@ -25,6 +25,7 @@ use super::record::{Pose, Status};
 use super::solve::{Free, IntrinsicsPrior};
 use crate::beads::{BeadLayout, Landmark};
 use crate::estimate::EstimateError;
+use crate::mask::Disc;
 use setup::{Observation, Setup, scale_of, solved};
 use views::Common;
 
@@ -41,6 +42,8 @@ pub struct ViewAlone {
     pub pose: Pose,
     /// Where the room says its camera is.
     pub prior: Option<Prior>,
+    /// Of a frame that an image intensifier may have taken, in its pixels: what [`super::Registration::round_field_of`] says.
+    pub round_field: Option<Disc>,
 }
 
 /// What is asked.
@@ -129,6 +132,7 @@ impl SeveralViews<'_> {
         for bump in &mut bumps {
             bump.from_view = accepted[bump.from_view];
         }
+        let round_fields: Vec<Option<Disc>> = accepted.iter().map(|n| self.views[*n].round_field).collect();
         let common = Common {
             setup: &setup,
             blocks: &blocks,
@@ -137,6 +141,7 @@ impl SeveralViews<'_> {
             scale: scale_of(&estimate),
             sorted: &sorted,
             landmarks: self.landmarks,
+            round_fields: &round_fields,
         };
         let mut views: Vec<Pose> = self.views.iter().map(|view| view.pose.clone()).collect();
         for (n, view) in accepted.iter().enumerate() {

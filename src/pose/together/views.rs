@@ -4,19 +4,23 @@ use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
 use super::record::{BeadVerdict, SolvedBead};
-use super::setup::{Blocks, Setup, place_covariance};
+use super::setup::{Blocks, Observation, Setup, place_covariance};
 use super::strays::Sorted;
 use crate::beads::Landmark;
 use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
+use crate::mask::Disc;
 use crate::pose::accept::{landmarks_of, rows_of};
-use crate::pose::cautions::{is_of_looseness, is_of_residuals, larger_residuals};
+use crate::pose::cautions::{is_of_looseness, is_of_residuals, is_of_round_field, larger_residuals};
 use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
 use crate::pose::record::{BodyPose, Pose};
+use crate::pose::request::Registration;
 use crate::pose::residual::BeadResidual;
+use crate::pose::settle::Settled;
 use crate::pose::shadow::square;
-use crate::pose::solve::{Free, Solution};
+use crate::pose::solve::{Free, Match, Options, Solution};
 use crate::pose::unseen::Unseen;
+use crate::pose::unstated_lens::{Bends, UnstatedLens};
 
 /// The common solution.
 pub struct Common<'s> {
@@ -28,6 +32,8 @@ pub struct Common<'s> {
     pub scale: f64,
     pub sorted: &'s Sorted,
     pub landmarks: &'s [Landmark],
+    /// Of each view that an image intensifier may have taken.
+    pub round_fields: &'s [Option<Disc>],
 }
 
 impl Common<'_> {
@@ -71,8 +77,11 @@ impl Common<'_> {
         // What its own beads hold loosely all views together may hold: how loosely is told anew, at a landmark where one is asked for.
         let at_landmark = worst_landmark(&solution, self.landmarks, &solution.covariance);
         let is_asked = at_landmark.is_some();
-        let stands = |words: &str| !(is_off_plane(words) || is_of_residuals(words) || (is_asked && is_of_looseness(words)));
+        let is_round = self.round_fields[view].is_some();
+        let is_told_anew = |words: &str| (is_asked && is_of_looseness(words)) || (is_round && is_of_round_field(words));
+        let stands = |words: &str| !(is_off_plane(words) || is_of_residuals(words) || is_told_anew(words));
         let chi2_per_dof = self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64;
+        let (lens, bends) = self.unstated_lens(view, &solution, chi2_per_dof);
         let holds = |n: &usize| beads[*n].used && self.lps_from_body(view, *n) == Rigid::IDENTITY;
         let places_mm: Vec<DVec3> = (0..setup.layout.beads.len()).filter(holds).map(|n| setup.layout.beads[n].lps_mm).collect();
         let loose = hold(&solution, &places_mm, at_landmark, &solution.covariance);
@@ -91,7 +100,7 @@ impl Common<'_> {
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(motion.pivot_mm),
-            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance, None),
+            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance, lens.as_ref()),
             beads,
             shadows,
             doubt: alone.doubt.clone().filter(|words| stands(words)),
@@ -105,8 +114,34 @@ impl Common<'_> {
             Some(Loose::NearlyFlat(words)) => pose.notes.push(words),
             None => {}
         }
+        if let Some(bends) = bends {
+            bends.tell(&mut pose);
+        }
         pose.notes.extend(larger_residuals(chi2_per_dof));
         pose.on_panel_anew()
+    }
+
+    /// What may have bent a view's picture, as far as its own beads, in their places by the layout, leave that open: S of a lens turns with
+    /// the arm, so that other views tell little of it, and places that were solved from all views have taken up part of a lens.
+    fn unstated_lens(&self, view: usize, solution: &Solution, chi2_per_dof: f64) -> (Option<UnstatedLens>, Option<Bends>) {
+        let setup = self.setup;
+        let holds =
+            |o: &Observation| o.view == view && !setup.freed[o.bead] && self.lps_from_body(view, o.bead) == Rigid::IDENTITY;
+        let matched = |(n, o): (usize, &Observation)| {
+            let Observation { bead, image_px, sigma_px, noise_px2, .. } = *o;
+            let (lps_mm, place_mm2) = (setup.layout.beads[bead].lps_mm, setup.layout.beads[bead].place_mm2());
+            Match { bead, detection: n, lps_mm, image_px, sigma_px, noise_px2, place_mm2 }
+        };
+        let settled = Settled {
+            solution: solution.clone(),
+            matches: setup.observations.iter().enumerate().filter(|(_, o)| holds(o)).map(matched).collect(),
+            left_out: Vec::new(),
+            merged: Vec::new(),
+            chi2_per_dof,
+            options: Options::least_squares(setup.free),
+        };
+        let (round_field, landmarks) = (self.round_fields[view], self.landmarks);
+        UnstatedLens::heard(&Registration { round_field, landmarks, ..Registration::new([0; 2], setup.layout) }, &settled)
     }
 
     fn lps_from_body(&self, view: usize, bead: usize) -> Rigid {

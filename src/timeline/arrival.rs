@@ -11,6 +11,8 @@ use super::shots::{BATCH_US, PROMPT_US};
 const ARRIVAL_RISK: f64 = 1e-4;
 /// Frames from which it is known how soon frames come.
 const DELAYS: usize = 5;
+/// Frames from which it is known whether one came sooner than they.
+const FIRST_DELAYS: usize = 2;
 /// One frame in so many may come sooner, and one later, than frames usually do.
 const STRANGE: usize = 10;
 /// Exposures from which it is known whether frames come promptly at present.
@@ -108,9 +110,22 @@ impl Weighed<'_> {
         })
     }
 
-    /// How long after their exposures the other frames come, as far as one came alone after one exposure, or is bound to one: the shortest and
-    /// the longest with a margin; `None` while too few are known.
+    /// How long after their exposures the other frames come: the shortest and the longest with a margin; `None` while too few are known.
     pub(super) fn usual_delay_us(&self) -> Option<RangeInclusive<i64>> {
+        let delays_us = self.delays_us();
+        let enough = delays_us.len() >= DELAYS;
+        usual_us_of(delays_us).filter(|_| enough)
+    }
+
+    /// The same from few frames, which may show that one came sooner than they, but not that none does.
+    pub(super) fn first_delays_us(&self) -> Option<RangeInclusive<i64>> {
+        let delays_us = self.delays_us();
+        let enough = delays_us.len() >= FIRST_DELAYS;
+        usual_us_of(delays_us).filter(|_| enough)
+    }
+
+    /// How long after their exposures the other frames came, as far as one came alone after one exposure, or is bound to one.
+    fn delays_us(&self) -> Vec<i64> {
         let shots = &self.known.shots;
         let delay = |other: &Pending| {
             let prompt = other.prompt.as_deref()?;
@@ -123,9 +138,7 @@ impl Weighed<'_> {
             let (shot, arrival_us) = (shots.get(at), other.evidence.arrival_us?);
             (shot.whole && other.evidence.frame != self.pending.evidence.frame).then(|| arrival_us.saturating_sub(shot.end_us))
         };
-        let delays_us: Vec<i64> = self.known.frames.values().filter_map(delay).collect();
-        let enough = delays_us.len() >= DELAYS;
-        usual_us_of(delays_us).filter(|_| enough)
+        self.known.frames.values().filter_map(delay).collect()
     }
 
     /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures, so many of so many,

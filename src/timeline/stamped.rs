@@ -354,7 +354,9 @@ impl Weighed<'_> {
                     ));
                     return none(words);
                 }
-                if let Some(sooner) = usual_us.and_then(|usual_us| self.came_too_soon(*at, &usual_us)) {
+                if let Some(sooner) =
+                    usual_us.or_else(|| self.first_delays_us()).and_then(|usual_us| self.came_too_soon(*at, &usual_us))
+                {
                     words.push(sooner);
                     return none(words);
                 }

@@ -45,39 +45,53 @@ fn gaussian(sigma_px: f64) -> Vec<f32> {
     weights.iter().map(|w| (w / sum) as f32).collect()
 }
 
-/// Separable convolution, evaluated at every `stride`-th column and row; beyond the image there is zero.
+/// Columns that are summed at a time, in registers.
+const COLUMNS: usize = 64;
+/// Rows of which a core makes the same columns one after the other: what they read stays near.
+const ROWS: usize = 16;
+
+/// Separable convolution, evaluated at every `stride`-th column and row; beyond the image there is zero. Each sum takes the kernel's weights in
+/// their order, so that it is the same however it is divided among cores and registers.
 fn convolve(image: &Image<f32>, kernel: &[f32], stride: usize) -> Image<f32> {
     let (width, height) = (image.width.div_ceil(stride), image.height.div_ceil(stride));
-    let radius = (kernel.len() / 2) as isize;
-    let mut across = vec![0.0f32; width * image.height];
-    across.par_chunks_mut(width.max(1)).zip(image.pixels.par_chunks(image.width.max(1))).for_each_init(
-        || vec![Vec::new(); stride],
+    let radius = kernel.len() / 2;
+    let blocks = width.div_ceil(COLUMNS);
+    // An odd number of cache lines, so that the rows of one block do not displace each other.
+    let long = blocks * COLUMNS + COLUMNS / 4;
+    let lane_long = blocks * COLUMNS + kernel.len();
+    // Where in the lanes of a row each weight finds what the first column takes of it.
+    let starts: Vec<usize> = (0..kernel.len()).map(|tap| tap % stride * lane_long + tap / stride).collect();
+    let mut across = vec![0.0f32; long * image.height];
+    across.par_chunks_mut(long).zip(image.pixels.par_chunks(image.width.max(1))).for_each_init(
+        || vec![0.0f32; stride * lane_long],
         |lanes, (out, row)| {
-            // Slices rather than indices or steps: without a check in each step these are vectors.
-            let lanes: Vec<&[f32]> = match stride {
-                1 => vec![row],
-                _ => {
-                    lanes.iter_mut().enumerate().for_each(|(phase, lane)| {
-                        lane.clear();
-                        lane.extend(row.iter().skip(phase).step_by(stride));
-                    });
-                    lanes.iter().map(Vec::as_slice).collect()
+            // What lies beyond the row stays zero.
+            if stride == 1 {
+                lanes[radius..][..row.len()].copy_from_slice(row);
+            } else {
+                for (phase, lane) in lanes.chunks_exact_mut(lane_long).enumerate() {
+                    // The first place of this phase that the row has.
+                    let skipped = (phase + stride - radius % stride) % stride;
+                    let values = row.iter().skip(skipped).step_by(stride);
+                    lane[(radius + skipped) / stride..].iter_mut().zip(values).for_each(|(to, from)| *to = *from);
                 }
-            };
-            on_widest_vectors(Across { out, lanes: &lanes, kernel });
+            }
+            on_widest_vectors(Across { out: &mut out[..blocks * COLUMNS], lanes, starts: &starts, kernel });
         },
     );
     let mut down = vec![0.0f32; width * height];
-    down.par_chunks_mut(width.max(1)).enumerate().for_each(|(v, out)| {
-        on_widest_vectors(Down { out, across: &across, kernel, first: (v * stride) as isize - radius });
+    down.par_chunks_mut(width.max(1) * ROWS).enumerate().for_each(|(chunk, out)| {
+        let first = (chunk * ROWS * stride) as isize - radius as isize;
+        on_widest_vectors(Down { out, width, across: &across, long, kernel, first, stride });
     });
     Image { width, height, pixels: down }
 }
 
-/// A row of `out` from the lanes of a row: `lanes[phase][n]` is its value at column n · stride + phase.
+/// A row of `out`, in whole blocks: column u takes of `lanes`, with each weight of the kernel, what lies u after its start.
 struct Across<'a> {
     out: &'a mut [f32],
-    lanes: &'a [&'a [f32]],
+    lanes: &'a [f32],
+    starts: &'a [usize],
     kernel: &'a [f32],
 }
 
@@ -86,25 +100,27 @@ impl pulp::NullaryFnOnce for Across<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let (stride, radius) = (self.lanes.len() as isize, (self.kernel.len() / 2) as isize);
-        for (tap, weight) in self.kernel.iter().enumerate() {
-            // out[u] += w · row[stride · u + tap − radius], for the u where that exists.
-            let shift = tap as isize - radius;
-            let lane = self.lanes[shift.rem_euclid(stride) as usize];
-            let first = shift.div_euclid(stride);
-            let (skipped, from) = (first.max(0) as usize, (-first).max(0) as usize);
-            let (lane, out) = (lane.get(skipped..).unwrap_or_default(), self.out.get_mut(from..).unwrap_or_default());
-            out.iter_mut().zip(lane).for_each(|(o, r)| *o += weight * r);
+        for (block, out) in self.out.chunks_exact_mut(COLUMNS).enumerate() {
+            let mut sums = [0.0f32; COLUMNS];
+            for (start, weight) in self.starts.iter().zip(self.kernel) {
+                // Slices rather than indices or steps: without a check in each step these are vectors.
+                let lane = &self.lanes[start + block * COLUMNS..][..COLUMNS];
+                sums.iter_mut().zip(lane).for_each(|(sum, value)| *sum += weight * value);
+            }
+            out.copy_from_slice(&sums);
         }
     }
 }
 
-/// A row of `out` from the rows of `across`, as wide, from row `first` on.
+/// Some rows of `out`, `width` long each, from the rows of `across`, `long` each: the first from row `first` on, each other `stride` rows below.
 struct Down<'a> {
     out: &'a mut [f32],
+    width: usize,
     across: &'a [f32],
+    long: usize,
     kernel: &'a [f32],
     first: isize,
+    stride: usize,
 }
 
 impl pulp::NullaryFnOnce for Down<'_> {
@@ -112,13 +128,19 @@ impl pulp::NullaryFnOnce for Down<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let width = self.out.len();
-        let rows = (self.across.len() / width.max(1)) as isize;
-        for (tap, weight) in self.kernel.iter().enumerate() {
-            let source = self.first + tap as isize;
-            if (0..rows).contains(&source) {
-                let row = &self.across[source as usize * width..][..width];
-                self.out.iter_mut().zip(row).for_each(|(o, r)| *o += weight * r);
+        let rows = (self.across.len() / self.long) as isize;
+        for from in (0..self.width).step_by(COLUMNS) {
+            let columns = from..(from + COLUMNS).min(self.width);
+            for (v, out) in self.out.chunks_exact_mut(self.width).enumerate() {
+                let first = self.first + (v * self.stride) as isize;
+                let skipped = (-first).max(0) as usize;
+                let beyond = (rows - first).clamp(0, self.kernel.len() as isize) as usize;
+                let mut sums = [0.0f32; COLUMNS];
+                for (tap, weight) in self.kernel.iter().enumerate().take(beyond).skip(skipped) {
+                    let row = &self.across[(first + tap as isize) as usize * self.long + from..][..COLUMNS];
+                    sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
+                }
+                out[columns.clone()].copy_from_slice(&sums[..columns.len()]);
             }
         }
     }
@@ -177,24 +199,60 @@ pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
         dv: Image::filled(width, height, 0.0),
         known: Image::filled(width, height, false),
     };
-    let (value, weight) = (&value.pixels, &weight.pixels);
-    let trusted = |index: usize| weight[index] >= TRUSTED_WEIGHT;
     let long = width.max(1);
     let rows = found.du.pixels.par_chunks_mut(long).zip(found.dv.pixels.par_chunks_mut(long));
     rows.zip(found.known.pixels.par_chunks_mut(long)).enumerate().for_each(|(v, ((du, dv), known))| {
-        if v == 0 || v + 1 >= height {
+        if v == 0 || v + 1 >= height || width < 3 {
             return;
         }
-        for u in 1..width.saturating_sub(1) {
-            let at = v * width + u;
-            if trusted(at - 1) && trusted(at + 1) && trusted(at - width) && trusted(at + width) {
-                du[u] = 0.5 * (value[at + 1] - value[at - 1]);
-                dv[u] = 0.5 * (value[at + width] - value[at - width]);
-                known[u] = true;
-            }
-        }
+        let inner = 1..width - 1;
+        on_widest_vectors(Differences {
+            du: &mut du[inner.clone()],
+            dv: &mut dv[inner.clone()],
+            known: &mut known[inner],
+            value: neighbours(value, v),
+            weight: neighbours(weight, v),
+        });
     });
     found
+}
+
+/// Of the inner pixels of row `v`: those left, right, above and below.
+fn neighbours(image: &Image<f32>, v: usize) -> [&[f32]; 4] {
+    let width = image.width;
+    let row = |v: usize| &image.pixels[v * width..][..width];
+    [&row(v)[..width - 2], &row(v)[2..], &row(v - 1)[1..width - 1], &row(v + 1)[1..width - 1]]
+}
+
+/// The inner pixels of a row, and their [`neighbours`].
+struct Differences<'a> {
+    du: &'a mut [f32],
+    dv: &'a mut [f32],
+    known: &'a mut [bool],
+    value: [&'a [f32]; 4],
+    weight: [&'a [f32]; 4],
+}
+
+impl pulp::NullaryFnOnce for Differences<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        // Slices of one length rather than steps: without a check in each step these are vectors.
+        let count = self.known.len();
+        let (du, dv, known) = (&mut self.du[..count], &mut self.dv[..count], &mut self.known[..count]);
+        let [left, right, above, below] = self.value.map(|side| &side[..count]);
+        let [weight_left, weight_right, weight_above, weight_below] = self.weight.map(|side| &side[..count]);
+        for u in 0..count {
+            let trusted = (weight_left[u] >= TRUSTED_WEIGHT)
+                & (weight_right[u] >= TRUSTED_WEIGHT)
+                & (weight_above[u] >= TRUSTED_WEIGHT)
+                & (weight_below[u] >= TRUSTED_WEIGHT);
+            du[u] = if trusted { 0.5 * (right[u] - left[u]) } else { 0.0 };
+            dv[u] = if trusted { 0.5 * (below[u] - above[u]) } else { 0.0 };
+            known[u] = trusted;
+        }
+    }
 }
 
 /// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
@@ -236,18 +294,20 @@ pub(super) fn median_and_spread(values: &mut [f32]) -> Option<(f64, f64)> {
 /// σ of a pixel from ½(a − b − c + d) over 2×2 blocks, which no plane affects; median based, so that edges do not count.
 pub(super) fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
     let width = image.width;
-    let mut sizes: Vec<f32> = Vec::new();
+    let mut sizes = vec![0.0f32; image.pixels.len()];
+    let mut count = 0;
     for v in 0..image.height.saturating_sub(1) {
         // Slices rather than indices: their ends are checked once a row.
         let [here, below] = [v, v + 1].map(|row| &image.pixels[row * width..][..width]);
         let [scored_here, scored_below] = [v, v + 1].map(|row| &scored.pixels[row * width..][..width]);
         let scored = scored_here.windows(2).zip(scored_below.windows(2));
         for ((above, under), (here, below)) in scored.zip(here.windows(2).zip(below.windows(2))) {
-            if above[0] && above[1] && under[0] && under[1] {
-                sizes.push((0.5 * (here[0] - here[1] - below[0] + below[1])).abs());
-            }
+            // What is not scored is written over: which pixels are is not guessed at each of them.
+            sizes[count] = (0.5 * (here[0] - here[1] - below[0] + below[1])).abs();
+            count += usize::from(above[0] & above[1] & under[0] & under[1]);
         }
     }
+    sizes.truncate(count);
     if sizes.len() < 200 {
         return None;
     }

@@ -341,6 +341,37 @@ mod tests {
         assert_eq!(mask, expected);
     }
 
+    /// As the definition has it, pixel by pixel: known, larger than the neighbour behind it, no smaller than the one ahead.
+    #[test]
+    fn maxima_are_those_of_pixels_whose_neighbours_along_the_gradient_are_known_and_smaller() {
+        for (width, height) in [(4, 30), (90, 71)] {
+            let pixels = (0..width * height).map(|at| ((at * 7919) % 211) as f32 * 0.02).collect();
+            let image = Image::from_pixels(width, height, pixels).expect("size");
+            // Holes, and a border that is flat.
+            let usable = Image { width, height, pixels: (0..width * height).map(|at| (at * 31) % 173 != 0).collect() };
+            let ground = Ground::of(usable);
+            let seen = Seen::on(&ground, &image);
+            let Gradient { du, dv, known } = &seen.gradient;
+            let size = |at: usize| (du.pixels[at] * du.pixels[at] + dv.pixels[at] * dv.pixels[at]).sqrt();
+            let is_maximum = |at: &usize| {
+                let (u, v, here) = (at % width, at / width, size(*at));
+                if u < 2 || v < 2 || u + 2 >= width || v + 2 >= height || !known.pixels[*at] || !(here > 0.0) {
+                    return false;
+                }
+                let [su, sv] = [du, dv].map(|along| step_along(along.pixels[*at] / here) as isize);
+                let [ahead, behind] = [1, -1].map(|way| at.wrapping_add_signed(way * (sv * width as isize + su)));
+                known.pixels[ahead] && known.pixels[behind] && here > size(behind) && here >= size(ahead)
+            };
+            let expected: Vec<usize> = (0..width * height).filter(is_maximum).collect();
+            let found = largest(&seen);
+            assert_eq!(found.iter().map(|(at, ..)| *at).collect::<Vec<_>>(), expected);
+            assert!(
+                found.iter().all(|(at, point, here)| here.to_bits() == size(*at).to_bits() && point.nu == du.pixels[*at] / here)
+            );
+            assert!((found.len() > 200) == (width == 90) && known.pixels.contains(&false), "{}", found.len());
+        }
+    }
+
     #[test]
     fn edges_lie_on_the_circle_and_distances_are_sub_pixel() {
         let all = Image::filled(160, 160, true);

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::convolution::{convolve, gaussian};
 use crate::image::{Image, on_widest_vectors, quantile};
 
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
@@ -35,115 +36,6 @@ pub(super) struct Kernel {
     stride: usize,
     /// Share of the kernel that lies on usable pixels.
     pub weight: Image<f32>,
-}
-
-/// Gaussian weights out to 3 σ, normalised to a sum of 1.
-fn gaussian(sigma_px: f64) -> Vec<f32> {
-    let radius = (3.0 * sigma_px).ceil().max(1.0) as i32;
-    let weights: Vec<f64> = (-radius..=radius).map(|i| (-0.5 * (f64::from(i) / sigma_px).powi(2)).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| (w / sum) as f32).collect()
-}
-
-/// Columns that are summed at a time, in registers.
-const COLUMNS: usize = 64;
-/// Rows of which a core makes the same columns one after the other: what they read stays near.
-const ROWS: usize = 16;
-
-/// Separable convolution, evaluated at every `stride`-th column and row; beyond the image there is zero. Each sum takes the kernel's weights in
-/// their order, so that it is the same however it is divided among cores and registers.
-fn convolve(image: &Image<f32>, kernel: &[f32], stride: usize) -> Image<f32> {
-    let (width, height) = (image.width.div_ceil(stride), image.height.div_ceil(stride));
-    let radius = kernel.len() / 2;
-    let blocks = width.div_ceil(COLUMNS);
-    // An odd number of cache lines, so that the rows of one block do not displace each other.
-    let long = blocks * COLUMNS + COLUMNS / 4;
-    let lane_long = blocks * COLUMNS + kernel.len();
-    // Where in the lanes of a row each weight finds what the first column takes of it.
-    let starts: Vec<usize> = (0..kernel.len()).map(|tap| tap % stride * lane_long + tap / stride).collect();
-    let mut across = vec![0.0f32; long * image.height];
-    across.par_chunks_mut(long).zip(image.pixels.par_chunks(image.width.max(1))).for_each_init(
-        || vec![0.0f32; stride * lane_long],
-        |lanes, (out, row)| {
-            // What lies beyond the row stays zero.
-            if stride == 1 {
-                lanes[radius..][..row.len()].copy_from_slice(row);
-            } else {
-                for (phase, lane) in lanes.chunks_exact_mut(lane_long).enumerate() {
-                    // The first place of this phase that the row has.
-                    let skipped = (phase + stride - radius % stride) % stride;
-                    let values = row.iter().skip(skipped).step_by(stride);
-                    lane[(radius + skipped) / stride..].iter_mut().zip(values).for_each(|(to, from)| *to = *from);
-                }
-            }
-            on_widest_vectors(Across { out: &mut out[..blocks * COLUMNS], lanes, starts: &starts, kernel });
-        },
-    );
-    let mut down = vec![0.0f32; width * height];
-    down.par_chunks_mut(width.max(1) * ROWS).enumerate().for_each(|(chunk, out)| {
-        let first = (chunk * ROWS * stride) as isize - radius as isize;
-        on_widest_vectors(Down { out, width, across: &across, long, kernel, first, stride });
-    });
-    Image { width, height, pixels: down }
-}
-
-/// A row of `out`, in whole blocks: column u takes of `lanes`, with each weight of the kernel, what lies u after its start.
-struct Across<'a> {
-    out: &'a mut [f32],
-    lanes: &'a [f32],
-    starts: &'a [usize],
-    kernel: &'a [f32],
-}
-
-impl pulp::NullaryFnOnce for Across<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        for (block, out) in self.out.chunks_exact_mut(COLUMNS).enumerate() {
-            let mut sums = [0.0f32; COLUMNS];
-            for (start, weight) in self.starts.iter().zip(self.kernel) {
-                // Slices rather than indices or steps: without a check in each step these are vectors.
-                let lane = &self.lanes[start + block * COLUMNS..][..COLUMNS];
-                sums.iter_mut().zip(lane).for_each(|(sum, value)| *sum += weight * value);
-            }
-            out.copy_from_slice(&sums);
-        }
-    }
-}
-
-/// Some rows of `out`, `width` long each, from the rows of `across`, `long` each: the first from row `first` on, each other `stride` rows below.
-struct Down<'a> {
-    out: &'a mut [f32],
-    width: usize,
-    across: &'a [f32],
-    long: usize,
-    kernel: &'a [f32],
-    first: isize,
-    stride: usize,
-}
-
-impl pulp::NullaryFnOnce for Down<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let rows = (self.across.len() / self.long) as isize;
-        for from in (0..self.width).step_by(COLUMNS) {
-            let columns = from..(from + COLUMNS).min(self.width);
-            for (v, out) in self.out.chunks_exact_mut(self.width).enumerate() {
-                let first = self.first + (v * self.stride) as isize;
-                let skipped = (-first).max(0) as usize;
-                let beyond = (rows - first).clamp(0, self.kernel.len() as isize) as usize;
-                let mut sums = [0.0f32; COLUMNS];
-                for (tap, weight) in self.kernel.iter().enumerate().take(beyond).skip(skipped) {
-                    let row = &self.across[(first + tap as isize) as usize * self.long + from..][..COLUMNS];
-                    sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
-                }
-                out[columns.clone()].copy_from_slice(&sums[..columns.len()]);
-            }
-        }
-    }
 }
 
 impl Kernel {
@@ -180,8 +72,10 @@ impl Kernel {
 /// Every `stride`-th column and row, from the first.
 pub(super) fn every<T: Copy>(image: &Image<T>, stride: usize) -> Image<T> {
     let (width, height) = (image.width.div_ceil(stride), image.height.div_ceil(stride));
+    let mut pixels = Vec::with_capacity(width * height);
     let rows = image.pixels.chunks(image.width.max(1)).step_by(stride);
-    Image { width, height, pixels: rows.flat_map(|row| row.iter().step_by(stride).copied()).collect() }
+    rows.for_each(|row| pixels.extend(row.iter().step_by(stride)));
+    Image { width, height, pixels }
 }
 
 /// Central differences of a smoothed image, per pixel; `known` where all four neighbours are trusted.
@@ -347,6 +241,36 @@ mod tests {
     }
 
     #[test]
+    fn gradients_are_differences_where_all_four_neighbours_are_trusted() {
+        for (width, height) in [(2, 9), (9, 2), (37, 23)] {
+            let pixels = (0..width * height).map(|at| ((at * 7919) % 101) as f32 * 0.3).collect();
+            let value = Image::from_pixels(width, height, pixels).expect("size");
+            let weight = value.map(|v| {
+                if *v > 3.0 {
+                    TRUSTED_WEIGHT
+                } else if *v > 2.0 {
+                    f32::NAN
+                } else {
+                    0.7
+                }
+            });
+            let found = gradient(&value, &weight);
+            let mut known = 0;
+            for (at, is_known) in found.known.pixels.iter().enumerate() {
+                let (u, v) = (at % width, at / width);
+                let inside = u > 0 && v > 0 && u + 1 < width && v + 1 < height;
+                let sides = || [at - 1, at + 1, at - width, at + width];
+                assert_eq!(*is_known, inside && sides().iter().all(|side| weight.pixels[*side] >= TRUSTED_WEIGHT), "{u}, {v}");
+                let across = |from: usize, to: usize| if *is_known { 0.5 * (value.pixels[to] - value.pixels[from]) } else { 0.0 };
+                let [du, dv] = if inside { [across(at - 1, at + 1), across(at - width, at + width)] } else { [0.0; 2] };
+                assert_eq!([found.du.pixels[at], found.dv.pixels[at]].map(f32::to_bits), [du, dv].map(f32::to_bits), "{u}, {v}");
+                known += usize::from(*is_known);
+            }
+            assert!((known > 300) == (width == 37), "{known} of {width}x{height}");
+        }
+    }
+
+    #[test]
     fn fewer_places_have_the_same_means() {
         let pixels = (0..37 * 23).map(|at| ((at * 7919) % 101) as f32).collect();
         let image = Image::from_pixels(37, 23, pixels).expect("37x23");
@@ -394,5 +318,21 @@ mod tests {
         let (means, kept) = block_means(&image, &usable, 2);
         assert_eq!(*means.at(0, 0), 4.0);
         assert_eq!(kept.pixels, [true, false]);
+        // Whole blocks only, each half usable at least, of an image smaller than one as well.
+        let image = Image { width: 11, height: 8, pixels: (0..88).map(|at| ((at * 37) % 29) as f32 * 0.1).collect() };
+        let usable = image.map(|v| *v > 1.2);
+        for factor in [1, 3, 5, 20] {
+            let (means, kept) = block_means(&image, &usable, factor);
+            assert_eq!([means.width, means.height], [11 / factor, 8 / factor].map(|size| size.max(1)));
+            for at in 0..kept.pixels.len() {
+                let (u, v) = (at % kept.width, at / kept.width);
+                let block = image.part(&[u * factor..(u + 1) * factor, v * factor..(v + 1) * factor]);
+                let values: Vec<f64> = block.pixels.iter().filter(|v| **v > 1.2).map(|v| f64::from(*v)).collect();
+                let keeps = !values.is_empty() && 2 * values.len() >= block.pixels.len();
+                let mean = (values.iter().fold(0.0, |sum, value| sum + value) / values.len() as f64) as f32;
+                assert_eq!((kept.pixels[at], means.pixels[at].is_nan()), (keeps, !keeps), "{factor}: {u}, {v}");
+                assert!(!keeps || means.pixels[at].to_bits() == mean.to_bits(), "{factor}: {u}, {v}");
+            }
+        }
     }
 }

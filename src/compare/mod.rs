@@ -5,6 +5,7 @@
 //! wrong. What cannot be claimed is `None` and says why.
 
 mod comparison;
+mod convolution;
 mod correlation;
 mod disagreement;
 mod displacement;

@@ -30,7 +30,7 @@ impl SignedDifference {
         let difference = Image { width: acquired.width, height: acquired.height, pixels };
         // Nepers of unknown offset have no common zero; their medians are laid upon each other.
         let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
-        let difference = difference.map(|d| d - offset as f32);
+        let difference = if offset == 0.0 { difference } else { difference.map(|d| d - offset as f32) };
         let comparable = !pictures.unit.starts_with("gray") || spread_is_common(pictures);
         let unit = if offset == 0.0 { pictures.unit } else { "nepers, median removed" };
         (Self { offset, limit: symmetric_limit(&difference), unit, comparable }, difference)

@@ -33,14 +33,18 @@ pub(super) fn convolve(image: &Image<f32>, kernel: &[f32], stride: usize) -> Ima
         || vec![0.0f32; stride * lane_long],
         |lanes, (out, row)| {
             // What lies beyond the row stays zero.
-            if stride == 1 {
-                lanes[radius..][..row.len()].copy_from_slice(row);
-            } else {
-                for (phase, lane) in lanes.chunks_exact_mut(lane_long).enumerate() {
-                    // The first place of this phase that the row has.
-                    let skipped = (phase + stride - radius % stride) % stride;
-                    let values = row.iter().skip(skipped).step_by(stride);
-                    lane[(radius + skipped) / stride..].iter_mut().zip(values).for_each(|(to, from)| *to = *from);
+            for (phase, lane) in lanes.chunks_exact_mut(lane_long).enumerate() {
+                // The first place of this phase that the row has.
+                let skipped = (phase + stride - radius % stride) % stride;
+                let (lane, row) = (&mut lane[(radius + skipped) / stride..], row.get(skipped..).unwrap_or_default());
+                match stride {
+                    1 => lane[..row.len()].copy_from_slice(row),
+                    2 => {
+                        let (pairs, last) = row.as_chunks::<2>();
+                        lane.iter_mut().zip(pairs).for_each(|(to, [from, _])| *to = *from);
+                        last.iter().for_each(|from| lane[pairs.len()] = *from);
+                    }
+                    _ => lane.iter_mut().zip(row.iter().step_by(stride)).for_each(|(to, from)| *to = *from),
                 }
             }
             on_widest_vectors(Across { out: &mut out[..blocks * COLUMNS], lanes, starts: &starts, kernel });

@@ -27,6 +27,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 pub use comparison::{Comparison, Pictures};
 pub use disagreement::Disagreement;
@@ -290,7 +291,7 @@ fn expected_noise(
     let readout = correction.readout_sigma_value.unwrap_or(0.0);
     let mut noise: Vec<f32> = line_integral
         .pixels
-        .iter()
+        .par_iter()
         .zip(&usable.pixels)
         .filter(|(line_integral, usable)| **usable && line_integral.is_finite())
         .map(|(line_integral, _)| {

@@ -1,5 +1,7 @@
 //! Acquired minus simulated, as strips and the window show it.
 
+use rayon::prelude::*;
+
 use super::colour;
 use crate::compare::Pictures;
 use crate::image::{Image, quantile};
@@ -25,8 +27,9 @@ impl SignedDifference {
     #[must_use]
     pub fn of(pictures: &Pictures) -> (Self, Image<f32>) {
         let Pictures { acquired, simulated, usable, .. } = pictures;
-        let signed = |at: usize| if usable.pixels[at] { acquired.pixels[at] - simulated.pixels[at] } else { f32::NAN };
-        let pixels = (0..acquired.pixels.len()).map(signed).collect();
+        let signed =
+            |((usable, acquired), simulated): ((&bool, &f32), &f32)| if *usable { acquired - simulated } else { f32::NAN };
+        let pixels = usable.pixels.par_iter().zip(&acquired.pixels).zip(&simulated.pixels).map(signed).collect();
         let difference = Image { width: acquired.width, height: acquired.height, pixels };
         // Nepers of unknown offset have no common zero; their medians are laid upon each other.
         let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };

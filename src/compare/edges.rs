@@ -96,9 +96,9 @@ fn largest(seen: &Seen) -> Vec<(usize, EdgePoint, f32)> {
         for v in first..(first + ROWS).min(height - 2) {
             let (du, dv, here) = (&du.pixels[row(v)], &dv.pixels[row(v)], &sizes[row(v)]);
             on_widest_vectors(Steps { out: &mut steps, du, dv, sizes: here, width: width as i32 });
-            for u in 2..width - 2 {
+            for (u, step) in steps.iter().enumerate().take(width - 2).skip(2) {
                 let at = v * width + u;
-                let (here, step) = (sizes[at], steps[u] as isize);
+                let (here, step) = (sizes[at], *step as isize);
                 let (a, b) = (sizes[at.wrapping_add_signed(step)], sizes[at.wrapping_add_signed(-step)]);
                 // False as well where one of them is not known, and where there is no gradient.
                 if here > b && here >= a {

@@ -132,19 +132,18 @@ impl pulp::NullaryFnOnce for Differences<'_> {
 
     #[inline(always)]
     fn call(self) {
-        // Slices of one length rather than steps: without a check in each step these are vectors.
-        let count = self.known.len();
-        let (du, dv, known) = (&mut self.du[..count], &mut self.dv[..count], &mut self.known[..count]);
-        let [left, right, above, below] = self.value.map(|side| &side[..count]);
-        let [weight_left, weight_right, weight_above, weight_below] = self.weight.map(|side| &side[..count]);
-        for u in 0..count {
-            let trusted = (weight_left[u] >= TRUSTED_WEIGHT)
-                & (weight_right[u] >= TRUSTED_WEIGHT)
-                & (weight_above[u] >= TRUSTED_WEIGHT)
-                & (weight_below[u] >= TRUSTED_WEIGHT);
-            du[u] = if trusted { 0.5 * (right[u] - left[u]) } else { 0.0 };
-            dv[u] = if trusted { 0.5 * (below[u] - above[u]) } else { 0.0 };
-            known[u] = trusted;
+        let [left, right, above, below] = self.weight;
+        let weights = left.iter().zip(right).zip(above.iter().zip(below));
+        for (known, ((left, right), (above, below))) in self.known.iter_mut().zip(weights) {
+            // Without a branch at each of them these are vectors.
+            *known =
+                (*left >= TRUSTED_WEIGHT) & (*right >= TRUSTED_WEIGHT) & (*above >= TRUSTED_WEIGHT) & (*below >= TRUSTED_WEIGHT);
+        }
+        let [left, right, above, below] = self.value;
+        for (out, from, to) in [(self.du, left, right), (self.dv, above, below)] {
+            for ((out, known), (from, to)) in out.iter_mut().zip(self.known.iter()).zip(from.iter().zip(to)) {
+                *out = if *known { 0.5 * (to - from) } else { 0.0 };
+            }
         }
     }
 }

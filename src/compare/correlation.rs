@@ -40,7 +40,7 @@ pub(super) fn ranks(image: &Image<f32>, scored: &Image<bool>) -> Image<f32> {
     let values = image.pixels.iter().zip(&scored.pixels).filter(|(_, scored)| **scored).map(|(value, _)| *value).step_by(step);
     // Value and index in one word, which sorts many times faster than indices that look their values up.
     let mut order: Vec<u64> = values.enumerate().map(|(index, value)| u64::from(sortable(value)) << 32 | index as u64).collect();
-    order.sort_unstable();
+    sort_by_value(&mut order);
     let mut ranks = vec![0.0; order.len()];
     let mut start = 0;
     for equal in order.chunk_by(|a, b| a >> 32 == b >> 32) {
@@ -49,6 +49,27 @@ pub(super) fn ranks(image: &Image<f32>, scored: &Image<bool>) -> Image<f32> {
         start += equal.len();
     }
     Image { width: ranks.len(), height: 1, pixels: ranks }
+}
+
+/// Bits of a value by which words are put in order at a time.
+const DIGIT_BITS: u32 = 11;
+
+/// Sorts words of a value and, below it, an index that rises: from the value's last digit to its first, each time keeping the order so far.
+fn sort_by_value(words: &mut Vec<u64>) {
+    let mut sorted = vec![0u64; words.len()];
+    for shift in (32..u64::BITS).step_by(DIGIT_BITS as usize) {
+        let digit = |word: u64| (word >> shift) as usize & ((1 << DIGIT_BITS) - 1);
+        let mut places = [0usize; 1 << DIGIT_BITS];
+        words.iter().for_each(|word| places[digit(*word)] += 1);
+        let mut next = 0;
+        places.iter_mut().for_each(|place| next += std::mem::replace(place, next));
+        for word in words.iter() {
+            let place = &mut places[digit(*word)];
+            sorted[*place] = *word;
+            *place += 1;
+        }
+        std::mem::swap(words, &mut sorted);
+    }
 }
 
 /// Words in the order of [`f32::total_cmp`], but that both zeros are equal.
@@ -76,6 +97,21 @@ mod tests {
         let ranked = ranks(&values, &Image::filled(7, 1, true));
         let expected = [4.5, 1.0, 2.5, 2.5, 4.5, 0.0, 6.0].map(|rank: f32| rank / 7.0);
         assert!(ranked.pixels.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6), "{ranked:?}");
+    }
+
+    #[test]
+    fn words_are_sorted_by_their_values_and_then_by_their_indices() {
+        use crate::random::{Purpose, Stream};
+        let mut random = Stream::new(23, 0, 0, Purpose::Evaluation);
+        // Any values, and few, of which many are equal.
+        for kinds in [u32::MAX, 700, 1] {
+            let mut words: Vec<u64> = (0..5000).map(|index| u64::from(random.next_u32() % kinds) << 32 | index).collect();
+            let mut expected = words.clone();
+            expected.sort_unstable();
+            sort_by_value(&mut words);
+            assert_eq!(words, expected, "{kinds} values");
+        }
+        sort_by_value(&mut Vec::new());
     }
 
     #[test]

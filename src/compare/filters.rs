@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::convolution::{convolve, gaussian};
 use crate::image::{Image, on_widest_vectors, quantile};
 
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
@@ -35,93 +36,6 @@ pub(super) struct Kernel {
     stride: usize,
     /// Share of the kernel that lies on usable pixels.
     pub weight: Image<f32>,
-}
-
-/// Gaussian weights out to 3 σ, normalised to a sum of 1.
-fn gaussian(sigma_px: f64) -> Vec<f32> {
-    let radius = (3.0 * sigma_px).ceil().max(1.0) as i32;
-    let weights: Vec<f64> = (-radius..=radius).map(|i| (-0.5 * (f64::from(i) / sigma_px).powi(2)).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| (w / sum) as f32).collect()
-}
-
-/// Separable convolution, evaluated at every `stride`-th column and row; beyond the image there is zero.
-fn convolve(image: &Image<f32>, kernel: &[f32], stride: usize) -> Image<f32> {
-    let (width, height) = (image.width.div_ceil(stride), image.height.div_ceil(stride));
-    let radius = (kernel.len() / 2) as isize;
-    let mut across = vec![0.0f32; width * image.height];
-    across.par_chunks_mut(width.max(1)).zip(image.pixels.par_chunks(image.width.max(1))).for_each_init(
-        || vec![Vec::new(); stride],
-        |lanes, (out, row)| {
-            // Slices rather than indices or steps: without a check in each step these are vectors.
-            let lanes: Vec<&[f32]> = match stride {
-                1 => vec![row],
-                _ => {
-                    lanes.iter_mut().enumerate().for_each(|(phase, lane)| {
-                        lane.clear();
-                        lane.extend(row.iter().skip(phase).step_by(stride));
-                    });
-                    lanes.iter().map(Vec::as_slice).collect()
-                }
-            };
-            on_widest_vectors(Across { out, lanes: &lanes, kernel });
-        },
-    );
-    let mut down = vec![0.0f32; width * height];
-    down.par_chunks_mut(width.max(1)).enumerate().for_each(|(v, out)| {
-        on_widest_vectors(Down { out, across: &across, kernel, first: (v * stride) as isize - radius });
-    });
-    Image { width, height, pixels: down }
-}
-
-/// A row of `out` from the lanes of a row: `lanes[phase][n]` is its value at column n · stride + phase.
-struct Across<'a> {
-    out: &'a mut [f32],
-    lanes: &'a [&'a [f32]],
-    kernel: &'a [f32],
-}
-
-impl pulp::NullaryFnOnce for Across<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let (stride, radius) = (self.lanes.len() as isize, (self.kernel.len() / 2) as isize);
-        for (tap, weight) in self.kernel.iter().enumerate() {
-            // out[u] += w · row[stride · u + tap − radius], for the u where that exists.
-            let shift = tap as isize - radius;
-            let lane = self.lanes[shift.rem_euclid(stride) as usize];
-            let first = shift.div_euclid(stride);
-            let (skipped, from) = (first.max(0) as usize, (-first).max(0) as usize);
-            let (lane, out) = (lane.get(skipped..).unwrap_or_default(), self.out.get_mut(from..).unwrap_or_default());
-            out.iter_mut().zip(lane).for_each(|(o, r)| *o += weight * r);
-        }
-    }
-}
-
-/// A row of `out` from the rows of `across`, as wide, from row `first` on.
-struct Down<'a> {
-    out: &'a mut [f32],
-    across: &'a [f32],
-    kernel: &'a [f32],
-    first: isize,
-}
-
-impl pulp::NullaryFnOnce for Down<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let width = self.out.len();
-        let rows = (self.across.len() / width.max(1)) as isize;
-        for (tap, weight) in self.kernel.iter().enumerate() {
-            let source = self.first + tap as isize;
-            if (0..rows).contains(&source) {
-                let row = &self.across[source as usize * width..][..width];
-                self.out.iter_mut().zip(row).for_each(|(o, r)| *o += weight * r);
-            }
-        }
-    }
 }
 
 impl Kernel {
@@ -158,8 +72,10 @@ impl Kernel {
 /// Every `stride`-th column and row, from the first.
 pub(super) fn every<T: Copy>(image: &Image<T>, stride: usize) -> Image<T> {
     let (width, height) = (image.width.div_ceil(stride), image.height.div_ceil(stride));
+    let mut pixels = Vec::with_capacity(width * height);
     let rows = image.pixels.chunks(image.width.max(1)).step_by(stride);
-    Image { width, height, pixels: rows.flat_map(|row| row.iter().step_by(stride).copied()).collect() }
+    rows.for_each(|row| pixels.extend(row.iter().step_by(stride)));
+    Image { width, height, pixels }
 }
 
 /// Central differences of a smoothed image, per pixel; `known` where all four neighbours are trusted.
@@ -177,24 +93,59 @@ pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
         dv: Image::filled(width, height, 0.0),
         known: Image::filled(width, height, false),
     };
-    let (value, weight) = (&value.pixels, &weight.pixels);
-    let trusted = |index: usize| weight[index] >= TRUSTED_WEIGHT;
     let long = width.max(1);
     let rows = found.du.pixels.par_chunks_mut(long).zip(found.dv.pixels.par_chunks_mut(long));
     rows.zip(found.known.pixels.par_chunks_mut(long)).enumerate().for_each(|(v, ((du, dv), known))| {
-        if v == 0 || v + 1 >= height {
+        if v == 0 || v + 1 >= height || width < 3 {
             return;
         }
-        for u in 1..width.saturating_sub(1) {
-            let at = v * width + u;
-            if trusted(at - 1) && trusted(at + 1) && trusted(at - width) && trusted(at + width) {
-                du[u] = 0.5 * (value[at + 1] - value[at - 1]);
-                dv[u] = 0.5 * (value[at + width] - value[at - width]);
-                known[u] = true;
-            }
-        }
+        let inner = 1..width - 1;
+        on_widest_vectors(Differences {
+            du: &mut du[inner.clone()],
+            dv: &mut dv[inner.clone()],
+            known: &mut known[inner],
+            value: neighbours(value, v),
+            weight: neighbours(weight, v),
+        });
     });
     found
+}
+
+/// Of the inner pixels of row `v`: those left, right, above and below.
+fn neighbours(image: &Image<f32>, v: usize) -> [&[f32]; 4] {
+    let width = image.width;
+    let row = |v: usize| &image.pixels[v * width..][..width];
+    [&row(v)[..width - 2], &row(v)[2..], &row(v - 1)[1..width - 1], &row(v + 1)[1..width - 1]]
+}
+
+/// The inner pixels of a row, and their [`neighbours`].
+struct Differences<'a> {
+    du: &'a mut [f32],
+    dv: &'a mut [f32],
+    known: &'a mut [bool],
+    value: [&'a [f32]; 4],
+    weight: [&'a [f32]; 4],
+}
+
+impl pulp::NullaryFnOnce for Differences<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let [left, right, above, below] = self.weight;
+        let weights = left.iter().zip(right).zip(above.iter().zip(below));
+        for (known, ((left, right), (above, below))) in self.known.iter_mut().zip(weights) {
+            // Without a branch at each of them these are vectors.
+            *known =
+                (*left >= TRUSTED_WEIGHT) & (*right >= TRUSTED_WEIGHT) & (*above >= TRUSTED_WEIGHT) & (*below >= TRUSTED_WEIGHT);
+        }
+        let [left, right, above, below] = self.value;
+        for (out, from, to) in [(self.du, left, right), (self.dv, above, below)] {
+            for ((out, known), (from, to)) in out.iter_mut().zip(self.known.iter()).zip(from.iter().zip(to)) {
+                *out = if *known { 0.5 * (to - from) } else { 0.0 };
+            }
+        }
+    }
 }
 
 /// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
@@ -236,18 +187,20 @@ pub(super) fn median_and_spread(values: &mut [f32]) -> Option<(f64, f64)> {
 /// σ of a pixel from ½(a − b − c + d) over 2×2 blocks, which no plane affects; median based, so that edges do not count.
 pub(super) fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
     let width = image.width;
-    let mut sizes: Vec<f32> = Vec::new();
+    let mut sizes = vec![0.0f32; image.pixels.len()];
+    let mut count = 0;
     for v in 0..image.height.saturating_sub(1) {
         // Slices rather than indices: their ends are checked once a row.
         let [here, below] = [v, v + 1].map(|row| &image.pixels[row * width..][..width]);
         let [scored_here, scored_below] = [v, v + 1].map(|row| &scored.pixels[row * width..][..width]);
         let scored = scored_here.windows(2).zip(scored_below.windows(2));
         for ((above, under), (here, below)) in scored.zip(here.windows(2).zip(below.windows(2))) {
-            if above[0] && above[1] && under[0] && under[1] {
-                sizes.push((0.5 * (here[0] - here[1] - below[0] + below[1])).abs());
-            }
+            // What is not scored is written over: which pixels are is not guessed at each of them.
+            sizes[count] = (0.5 * (here[0] - here[1] - below[0] + below[1])).abs();
+            count += usize::from(above[0] & above[1] & under[0] & under[1]);
         }
     }
+    sizes.truncate(count);
     if sizes.len() < 200 {
         return None;
     }
@@ -284,6 +237,36 @@ mod tests {
         let second: f64 = (0..41).map(|u| f64::from(*smoothed.at(u, 20)) * (u as f64 - 20.0).powi(2)).sum();
         let mass: f64 = (0..41).map(|u| f64::from(*smoothed.at(u, 20))).sum();
         assert!((second / mass - 4.0).abs() < 0.15, "variance {}", second / mass);
+    }
+
+    #[test]
+    fn gradients_are_differences_where_all_four_neighbours_are_trusted() {
+        for (width, height) in [(2, 9), (9, 2), (37, 23)] {
+            let pixels = (0..width * height).map(|at| ((at * 7919) % 101) as f32 * 0.3).collect();
+            let value = Image::from_pixels(width, height, pixels).expect("size");
+            let weight = value.map(|v| {
+                if *v > 3.0 {
+                    TRUSTED_WEIGHT
+                } else if *v > 2.0 {
+                    f32::NAN
+                } else {
+                    0.7
+                }
+            });
+            let found = gradient(&value, &weight);
+            let mut known = 0;
+            for (at, is_known) in found.known.pixels.iter().enumerate() {
+                let (u, v) = (at % width, at / width);
+                let inside = u > 0 && v > 0 && u + 1 < width && v + 1 < height;
+                let sides = || [at - 1, at + 1, at - width, at + width];
+                assert_eq!(*is_known, inside && sides().iter().all(|side| weight.pixels[*side] >= TRUSTED_WEIGHT), "{u}, {v}");
+                let across = |from: usize, to: usize| if *is_known { 0.5 * (value.pixels[to] - value.pixels[from]) } else { 0.0 };
+                let [du, dv] = if inside { [across(at - 1, at + 1), across(at - width, at + width)] } else { [0.0; 2] };
+                assert_eq!([found.du.pixels[at], found.dv.pixels[at]].map(f32::to_bits), [du, dv].map(f32::to_bits), "{u}, {v}");
+                known += usize::from(*is_known);
+            }
+            assert!((known > 300) == (width == 37), "{known} of {width}x{height}");
+        }
     }
 
     #[test]
@@ -334,5 +317,21 @@ mod tests {
         let (means, kept) = block_means(&image, &usable, 2);
         assert_eq!(*means.at(0, 0), 4.0);
         assert_eq!(kept.pixels, [true, false]);
+        // Whole blocks only, each half usable at least, of an image smaller than one as well.
+        let image = Image { width: 11, height: 8, pixels: (0..88).map(|at| ((at * 37) % 29) as f32 * 0.1).collect() };
+        let usable = image.map(|v| *v > 1.2);
+        for factor in [1, 3, 5, 20] {
+            let (means, kept) = block_means(&image, &usable, factor);
+            assert_eq!([means.width, means.height], [11 / factor, 8 / factor].map(|size| size.max(1)));
+            for at in 0..kept.pixels.len() {
+                let (u, v) = (at % kept.width, at / kept.width);
+                let block = image.part(&[u * factor..(u + 1) * factor, v * factor..(v + 1) * factor]);
+                let values: Vec<f64> = block.pixels.iter().filter(|v| **v > 1.2).map(|v| f64::from(*v)).collect();
+                let keeps = !values.is_empty() && 2 * values.len() >= block.pixels.len();
+                let mean = (values.iter().fold(0.0, |sum, value| sum + value) / values.len() as f64) as f32;
+                assert_eq!((kept.pixels[at], means.pixels[at].is_nan()), (keeps, !keeps), "{factor}: {u}, {v}");
+                assert!(!keeps || means.pixels[at].to_bits() == mean.to_bits(), "{factor}: {u}, {v}");
+            }
+        }
     }
 }

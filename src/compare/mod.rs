@@ -5,6 +5,7 @@
 //! wrong. What cannot be claimed is `None` and says why.
 
 mod comparison;
+mod convolution;
 mod correlation;
 mod disagreement;
 mod displacement;
@@ -26,6 +27,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 pub use comparison::{Comparison, Pictures};
 pub use disagreement::Disagreement;
@@ -289,7 +291,7 @@ fn expected_noise(
     let readout = correction.readout_sigma_value.unwrap_or(0.0);
     let mut noise: Vec<f32> = line_integral
         .pixels
-        .iter()
+        .par_iter()
         .zip(&usable.pixels)
         .filter(|(line_integral, usable)| **usable && line_integral.is_finite())
         .map(|(line_integral, _)| {

@@ -175,10 +175,7 @@ fn intercept(samples: &[[f64; 2]], brightest: f64) -> Option<Intercept> {
     let mut kept: Vec<[f64; 2]> = samples.to_vec();
     let mut line = straight_line(&kept)?;
     // What is rounded to steps is no outlier half a step off; values may be of any unit.
-    let mut levels: Vec<f64> = samples.iter().map(|[_, y]| *y).collect();
-    levels.sort_unstable_by(f64::total_cmp);
-    let steps = levels.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
-    let half_step = 0.5 * steps.min_by(f64::total_cmp).unwrap_or(0.0);
+    let half_step = 0.5 * least_step(samples.iter().map(|[_, y]| *y));
     for _ in 0..3 {
         let mut deviations: Vec<f32> = kept.iter().map(|[x, y]| (y - line.at(*x)).abs() as f32).collect();
         let spread = 1.4826 * quantile(&mut deviations, 0.5)?;
@@ -198,6 +195,29 @@ fn intercept(samples: &[[f64; 2]], brightest: f64) -> Option<Intercept> {
     let leak_bound = if line.slope < 0.0 && separable { 0.0 } else { MOST_LEAK * air_at_least * line.mean_x };
     Some(Intercept { value: line.mean_y, sigma: line.sigma_at(line.mean_x).hypot(0.5 * leak_bound), leak: None })
 }
+
+/// The smallest step from one value to another; 0 where there is but one.
+fn least_step(values: impl Iterator<Item = f64>) -> f64 {
+    // Stored values are few, and each occurs many times: one that was met lately is not sorted again.
+    let mut lately = vec![f64::NAN.to_bits(); 1 << LATELY_BITS];
+    let mut levels: Vec<f64> = Vec::new();
+    for value in values {
+        let bits = value.to_bits();
+        // Fibonacci hashing (Knuth, TAOCP 6.4).
+        let place = bits.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - LATELY_BITS);
+        let met = &mut lately[place as usize];
+        if *met != bits {
+            *met = bits;
+            levels.push(value);
+        }
+    }
+    levels.sort_unstable_by(f64::total_cmp);
+    let steps = levels.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
+    steps.min_by(f64::total_cmp).unwrap_or(0.0)
+}
+
+/// Of how many values it is known that they were met lately: 2 to the power of this.
+const LATELY_BITS: u32 = 12;
 
 struct Line {
     mean_x: f64,
@@ -311,6 +331,25 @@ mod tests {
         }
         assert_eq!(with_deviation(0.05, 0.0012), "0.0500 ± 0.0012");
         assert_eq!(with_deviation(655.04, 12.0), "655.0 ± 12.0");
+    }
+
+    /// Against the steps between all values in their order.
+    #[test]
+    fn the_smallest_step_is_that_of_all_values_in_their_order() {
+        let mut random = Stream::new(11, 0, 0, Purpose::Evaluation);
+        let mut found = Vec::new();
+        // Few values many times; more than are kept in mind; all different.
+        for (kinds, step) in [(1.0, 1.0), (7.0, 3.0), (90.0, 0.25), (20_000.0, 1.0), (1e9, 1e-3)] {
+            let draw = |_| (f64::from(random.next_u32()) / f64::from(u32::MAX) * kinds).floor() * step - 5.0 * step;
+            let values: Vec<f64> = (0..30_000).map(draw).collect();
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            let steps = sorted.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
+            let expected = steps.min_by(f64::total_cmp).unwrap_or(0.0);
+            assert_eq!(least_step(values.into_iter()).to_bits(), expected.to_bits(), "{kinds} values, {step} apart");
+            found.push(expected);
+        }
+        assert_eq!(found[..4], [0.0, 3.0, 0.25, 1.0]);
     }
 
     #[test]

@@ -5,6 +5,7 @@ mod files;
 pub mod fourier;
 mod new_file;
 pub mod plot;
+mod quantile;
 mod temporary;
 mod ticks;
 mod vectors;
@@ -18,9 +19,12 @@ pub use files::{
 
 pub use new_file::{NewFile, UNNAMED, sync_folder};
 pub use temporary::{Temporary, TemporaryFolder, remove_temporaries, temporary_file, temporary_folder};
+pub use quantile::quantile;
 pub use ticks::round_down;
 pub use vectors::{exp, on_widest_vectors};
 pub use video::VideoFile;
+
+use rayon::prelude::*;
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,15 +123,8 @@ pub fn zip<A, B, C>(a: &Image<A>, b: &Image<B>, f: impl Fn(&A, &B) -> C) -> Imag
     Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(x, y)| f(x, y)).collect() }
 }
 
-/// The value below which `share` of `values` lie; `None` when there are none. Reorders `values`; NaN sorts last.
-pub fn quantile(values: &mut [f32], share: f64) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let rank = ((values.len() - 1) as f64 * share.clamp(0.0, 1.0)).round() as usize;
-    let (_, value, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
-    Some(f64::from(*value))
-}
+/// Rows of blocks that a core takes at least.
+const FEWEST_ROWS: usize = 4;
 
 /// Means of `factor` × `factor` blocks over their usable pixels; a block is usable when at least half of it is. Whole blocks only.
 #[must_use]
@@ -135,24 +132,25 @@ pub fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (
     let (width, height) = ((image.width / factor).max(1), (image.height / factor).max(1));
     let mut means = Image::filled(width, height, f32::NAN);
     let mut kept = Image::filled(width, height, false);
-    for v in 0..height {
-        for u in 0..width {
-            let (mut sum, mut count, mut total) = (0.0f64, 0usize, 0usize);
-            for row in v * factor..((v + 1) * factor).min(image.height) {
-                for column in u * factor..((u + 1) * factor).min(image.width) {
-                    total += 1;
-                    let at = row * image.width + column;
-                    if usable.pixels[at] {
-                        sum += f64::from(image.pixels[at]);
-                        count += 1;
-                    }
+    let blocks = means.pixels.par_chunks_mut(width).zip(kept.pixels.par_chunks_mut(width)).with_min_len(FEWEST_ROWS);
+    blocks.enumerate().for_each(|(v, (means, kept))| {
+        let mut sums = vec![(0.0f64, 0usize, 0usize); width];
+        for row in v * factor..((v + 1) * factor).min(image.height) {
+            let row = row * image.width..(row + 1) * image.width;
+            let in_blocks = image.pixels[row.clone()].chunks(factor).zip(usable.pixels[row].chunks(factor));
+            for ((sum, count, total), (values, usable)) in sums.iter_mut().zip(in_blocks) {
+                *total += values.len();
+                for (value, _) in values.iter().zip(usable).filter(|(_, usable)| **usable) {
+                    *sum += f64::from(*value);
+                    *count += 1;
                 }
             }
+        }
+        for ((mean, kept), (sum, count, total)) in means.iter_mut().zip(kept).zip(sums) {
             if count > 0 && 2 * count >= total {
-                *means.at_mut(u, v) = (sum / count as f64) as f32;
-                *kept.at_mut(u, v) = true;
+                (*mean, *kept) = ((sum / count as f64) as f32, true);
             }
         }
-    }
+    });
     (means, kept)
 }

@@ -54,12 +54,17 @@ impl Canvas {
         }
     }
 
+    /// Of `length` pixels from `from` on those that lie on the `end` of the canvas.
+    fn inside(from: i64, length: i64, end: usize) -> Range<usize> {
+        let on_canvas = |at: i64| at.clamp(0, end as i64) as usize;
+        on_canvas(from)..on_canvas(from.saturating_add(length)).max(on_canvas(from))
+    }
+
     /// A filled rectangle.
     pub fn fill(&mut self, u: i64, v: i64, width: i64, height: i64, colour: Rgb) {
-        for row in v..v + height {
-            for column in u..u + width {
-                self.blend(column, row, colour, 1.0);
-            }
+        let [columns, rows] = [Self::inside(u, width, self.image.width), Self::inside(v, height, self.image.height)];
+        for row in rows {
+            self.image.pixels[row * self.image.width..][columns.clone()].fill(colour);
         }
     }
 
@@ -108,10 +113,15 @@ impl Canvas {
 
     /// A raster with its first pixel at (u, v).
     pub fn paste(&mut self, u: i64, v: i64, raster: &Image<Rgb>) {
-        for row in 0..raster.height {
-            for column in 0..raster.width {
-                self.blend(u + column as i64, v + row as i64, *raster.at(column, row), 1.0);
-            }
+        let columns = Self::inside(u, raster.width as i64, self.image.width);
+        if columns.is_empty() {
+            return;
+        }
+        for row in Self::inside(v, raster.height as i64, self.image.height) {
+            let of_raster = &raster.pixels[(row as i64 - v) as usize * raster.width..][..raster.width];
+            let first = (columns.start as i64 - u) as usize;
+            let shown = &of_raster[first..][..columns.len()];
+            self.image.pixels[row * self.image.width..][columns.clone()].copy_from_slice(shown);
         }
     }
 
@@ -243,6 +253,28 @@ mod tests {
         canvas.disc(f32::NAN, 5.0, 3.0, [255; 3]);
         canvas.disc(1e9, 1e9, 3.0, [255; 3]);
         assert!((ink(&canvas.image) - expected).abs() < 2.5, "no place, no disc");
+    }
+
+    #[test]
+    fn rectangles_and_rasters_are_cut_at_the_canvas() {
+        let raster = Image { width: 7, height: 5, pixels: (0..35).map(|at| [at as u8 + 1; 3]).collect() };
+        let mut shown = 0;
+        for (u, v) in [(0, 0), (-3, -2), (36, 27), (-7, 4), (40, 3), (3, 30), (900, -900)] {
+            let mut pasted = Canvas::new(40, 30, [0; 3]);
+            pasted.paste(u, v, &raster);
+            let mut filled = Canvas::new(40, 30, [0; 3]);
+            filled.fill(u, v, 7, 5, [9; 3]);
+            for at in 0..40 * 30 {
+                let (column, row) = ((at % 40) as i64 - u, (at / 40) as i64 - v);
+                let inside = (0..7).contains(&column) && (0..5).contains(&row);
+                let expected = if inside { [*raster.at(column as usize, row as usize), [9; 3]] } else { [[0; 3]; 2] };
+                assert_eq!([pasted.image.pixels[at], filled.image.pixels[at]], expected, "{u}, {v}: {column}, {row}");
+                shown += usize::from(inside);
+            }
+            filled.fill(5, 5, -3, 4, [200; 3]);
+            assert!(filled.image.pixels.iter().all(|pixel| pixel[0] < 200), "nothing");
+        }
+        assert_eq!(shown, 35 + 12 + 12);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The panels of a strip: pictures with a title, a scale bar and a legend.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::canvas::{Align, Canvas, Rgb};
@@ -109,35 +111,52 @@ impl Panels<'_> {
 
 /// Area means when shrinking, bilinear when enlarging; NaN counts for nothing, and stays where there is nothing else.
 pub(super) fn scaled(image: &Image<f32>, scale: f64) -> Image<f32> {
-    let size = |n: usize| ((n as f64 * scale).round() as usize).max(1);
-    let (width, height) = (size(image.width), size(image.height));
+    if scale < 1.0 {
+        return shrunk(image, scale, |value| *value);
+    }
+    let [width, height] = [image.width, image.height].map(|n| size(n, scale));
     let mut pixels = vec![0.0; width * height];
     pixels.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
-        for (u, pixel) in row.iter_mut().enumerate() {
-            *pixel = if scale < 1.0 { mean_under(image, u, v, scale) } else { bilinear(image, u, v, scale) };
-        }
+        row.iter_mut().enumerate().for_each(|(u, pixel)| *pixel = bilinear(image, u, v, scale));
     });
     Image { width, height, pixels }
 }
 
-fn mean_under(image: &Image<f32>, u: usize, v: usize, scale: f64) -> f32 {
+fn size(n: usize, scale: f64) -> usize {
+    ((n as f64 * scale).round() as usize).max(1)
+}
+
+/// What share of each pixel at panel size is marked.
+fn scaled_share(marked: &Image<bool>, scale: f64) -> Image<f32> {
+    let share = |marked: &bool| f32::from(u8::from(*marked));
+    if scale < 1.0 { shrunk(marked, scale, share) } else { scaled(&marked.map(share), scale) }
+}
+
+/// Means of `value` under each of the fewer pixels.
+fn shrunk<T: Sync>(image: &Image<T>, scale: f64, value: impl Fn(&T) -> f32 + Sync) -> Image<f32> {
+    let [width, height] = [image.width, image.height].map(|n| size(n, scale));
     let span = |at: usize, end: usize| {
         let (from, to) = ((at as f64 / scale) as usize, ((at + 1) as f64 / scale).ceil() as usize);
         from.min(end - 1)..to.clamp(from.min(end - 1) + 1, end)
     };
-    let (mut sum, mut count) = (0.0, 0usize);
-    let (columns, rows) = (span(u, image.width), span(v, image.height));
-    let total = columns.len() * rows.len();
-    for row in rows {
-        for column in columns.clone() {
-            let value = *image.at(column, row);
-            if value.is_finite() {
-                sum += f64::from(value);
-                count += 1;
+    let columns: Vec<Range<usize>> = (0..width).map(|u| span(u, image.width)).collect();
+    let mut pixels = vec![0.0; width * height];
+    pixels.par_chunks_mut(width).enumerate().for_each(|(v, out)| {
+        let rows = span(v, image.height);
+        let mut sums = vec![(0.0f64, 0usize); width];
+        for row in rows.clone().map(|row| &image.pixels[row * image.width..][..image.width]) {
+            for ((sum, count), columns) in sums.iter_mut().zip(&columns) {
+                for value in row[columns.clone()].iter().map(&value).filter(|value| value.is_finite()) {
+                    *sum += f64::from(value);
+                    *count += 1;
+                }
             }
         }
-    }
-    if 2 * count >= total { (sum / count as f64) as f32 } else { f32::NAN }
+        for ((pixel, (sum, count)), columns) in out.iter_mut().zip(sums).zip(&columns) {
+            *pixel = if 2 * count >= columns.len() * rows.len() { (sum / count as f64) as f32 } else { f32::NAN };
+        }
+    });
+    Image { width, height, pixels }
 }
 
 fn bilinear(image: &Image<f32>, u: usize, v: usize, scale: f64) -> f32 {
@@ -148,13 +167,13 @@ fn bilinear(image: &Image<f32>, u: usize, v: usize, scale: f64) -> f32 {
 /// A frame at panel size, gray between the ends of `window`; dim and calm where it is shut off.
 pub(super) fn frame_in_grays(values: &Image<f32>, shut_off: &Image<bool>, window: [f64; 2], scale: f64) -> Image<Rgb> {
     let grays = scaled(&calm(values, shut_off, window), scale).map(|value| colour::gray(*value, window));
-    let share = scaled(&shut_off.map(|shut| f32::from(u8::from(*shut))), scale);
+    let share = scaled_share(shut_off, scale);
     zip(&grays, &share, |gray, share| dimmed(*gray, *share))
 }
 
 /// Opacity of the edges at panel size: a pixel of the panel is as bright as it is covered.
 pub(super) fn edge_opacity(edges: &Image<bool>, scale: f64) -> Image<f32> {
-    let mut drawn = scaled(&edges.map(|e| f32::from(u8::from(*e))), scale);
+    let mut drawn = scaled_share(edges, scale);
     if scale < 1.0 {
         // A line one source pixel wide covers `scale` of a panel pixel.
         drawn.pixels.iter_mut().for_each(|v| *v = (*v / (0.6 * scale as f32)).min(1.0));

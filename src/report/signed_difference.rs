@@ -1,5 +1,7 @@
 //! Acquired minus simulated, as strips and the window show it.
 
+use rayon::prelude::*;
+
 use super::colour;
 use crate::compare::Pictures;
 use crate::image::{Image, quantile};
@@ -25,12 +27,13 @@ impl SignedDifference {
     #[must_use]
     pub fn of(pictures: &Pictures) -> (Self, Image<f32>) {
         let Pictures { acquired, simulated, usable, .. } = pictures;
-        let signed = |at: usize| if usable.pixels[at] { acquired.pixels[at] - simulated.pixels[at] } else { f32::NAN };
-        let pixels = (0..acquired.pixels.len()).map(signed).collect();
+        let signed =
+            |((usable, acquired), simulated): ((&bool, &f32), &f32)| if *usable { acquired - simulated } else { f32::NAN };
+        let pixels = usable.pixels.par_iter().zip(&acquired.pixels).zip(&simulated.pixels).map(signed).collect();
         let difference = Image { width: acquired.width, height: acquired.height, pixels };
         // Nepers of unknown offset have no common zero; their medians are laid upon each other.
         let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
-        let difference = difference.map(|d| d - offset as f32);
+        let difference = if offset == 0.0 { difference } else { difference.map(|d| d - offset as f32) };
         let comparable = !pictures.unit.starts_with("gray") || spread_is_common(pictures);
         let unit = if offset == 0.0 { pictures.unit } else { "nepers, median removed" };
         (Self { offset, limit: symmetric_limit(&difference), unit, comparable }, difference)

@@ -22,6 +22,8 @@ pub use ticks::round_down;
 pub use vectors::{exp, on_widest_vectors};
 pub use video::VideoFile;
 
+use rayon::prelude::*;
+
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image<T> {
@@ -135,8 +137,9 @@ pub fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (
     let (width, height) = ((image.width / factor).max(1), (image.height / factor).max(1));
     let mut means = Image::filled(width, height, f32::NAN);
     let mut kept = Image::filled(width, height, false);
-    for v in 0..height {
-        for u in 0..width {
+    let rows = means.pixels.par_chunks_mut(width).zip(kept.pixels.par_chunks_mut(width));
+    rows.enumerate().for_each(|(v, (means, kept))| {
+        for (u, (mean, kept)) in means.iter_mut().zip(kept).enumerate() {
             let (mut sum, mut count, mut total) = (0.0f64, 0usize, 0usize);
             for row in v * factor..((v + 1) * factor).min(image.height) {
                 for column in u * factor..((u + 1) * factor).min(image.width) {
@@ -149,10 +152,10 @@ pub fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (
                 }
             }
             if count > 0 && 2 * count >= total {
-                *means.at_mut(u, v) = (sum / count as f64) as f32;
-                *kept.at_mut(u, v) = true;
+                *mean = (sum / count as f64) as f32;
+                *kept = true;
             }
         }
-    }
+    });
     (means, kept)
 }

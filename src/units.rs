@@ -21,7 +21,13 @@ pub fn lerp_angle_rad(a_rad: f64, b_rad: f64, fraction: f64) -> f64 {
 /// The value at `x` of a line through `values` at ascending `places`, as many and at least one; beyond them that of the nearer end.
 #[must_use]
 pub fn interpolated(places: &[f64], values: &[f64], x: f64) -> f64 {
-    let upper = places.partition_point(|place| *place < x);
+    interpolated_below(places, values, x, places.partition_point(|place| *place < x))
+}
+
+/// [`interpolated`], where so many of the places lie below `x`.
+#[inline]
+#[must_use]
+pub fn interpolated_below(places: &[f64], values: &[f64], x: f64, upper: usize) -> f64 {
     if upper == 0 || upper == places.len() {
         return values[upper.min(places.len() - 1)];
     }

@@ -277,7 +277,9 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
 /// Every second pixel of every second row; pixel (i, j) of the result lies at (2i, 2j).
 fn halve(image: &Image<f32>) -> Image<f32> {
     let (width, height) = (image.width.div_ceil(2), image.height.div_ceil(2));
-    let pixels = (0..width * height).map(|n| image.pixels[(n / width) * 2 * image.width + (n % width) * 2]).collect();
+    let mut pixels = vec![0.0; width * height];
+    let rows = pixels.par_chunks_mut(width.max(1)).zip(image.pixels.par_chunks(2 * image.width.max(1)));
+    rows.for_each(|(out, rows)| out.iter_mut().zip(rows.iter().step_by(2)).for_each(|(out, value)| *out = *value));
     Image { width, height, pixels }
 }
 

@@ -142,7 +142,7 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
         height: pixels.height,
         pixels: pixels
             .pixels
-            .iter()
+            .par_iter()
             .enumerate()
             .map(|(n, value)| value.is_finite() && mask.is_none_or(|mask| mask.pixels.get(n).copied().unwrap_or(false)))
             .collect(),
@@ -242,7 +242,12 @@ fn beside(candidates: &[Candidate], usable: &Image<bool>) -> Image<bool> {
 /// −ln of slightly smoothed transmission; values without quanta are held at a third of the lowest that occur.
 fn line_integral(transmission: &Image<f32>) -> Image<f32> {
     let mut smooth = blur(transmission, 0.7);
-    let mut positive: Vec<f32> = smooth.pixels.iter().copied().filter(|value| *value > 0.0).step_by(7).collect();
+    let is_positive = |value: &f32| *value > 0.0;
+    let mut positive: Vec<f32> = if smooth.pixels.par_iter().all(is_positive) {
+        smooth.pixels.iter().copied().step_by(7).collect()
+    } else {
+        smooth.pixels.iter().copied().filter(is_positive).step_by(7).collect()
+    };
     if positive.is_empty() {
         return smooth.map(|_| 0.0);
     }

@@ -147,23 +147,25 @@ fn limited(model: Model, theta: &Vector, step: &Vector) -> Vector {
 
 fn initial(model: Model, window: &Window, start: Start) -> Vector {
     let radius_px = start.radius_px;
-    let mean = |near: bool| {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for n in 0..window.len() {
-            let distance = window.dx[n].hypot(window.dy[n]);
-            if (near && distance <= (0.4 * radius_px).max(0.8))
-                || (!near && distance >= 0.5 * (window.half_width + 1.2 * radius_px))
-            {
-                sum += match model {
-                    Model::Transmission => window.value[n] / window.others[n].max(1e-6),
-                    Model::Additive { .. } => window.value[n] - window.others[n],
-                };
-                count += 1.0;
-            }
+    let (core_px, rim_px) = ((0.4 * radius_px).max(0.8), 0.5 * (window.half_width + 1.2 * radius_px));
+    let ([mut outside, mut centre], [mut count_outside, mut count_centre]) = ([0.0; 2], [0.0; 2]);
+    for n in 0..window.len() {
+        let distance = window.dx[n].hypot(window.dy[n]);
+        let value = match model {
+            Model::Transmission => window.value[n] / window.others[n].max(1e-6),
+            Model::Additive { .. } => window.value[n] - window.others[n],
+        };
+        if distance >= rim_px {
+            outside += value;
+            count_outside += 1.0;
         }
-        sum / f64::max(count, 1.0)
-    };
-    let (outside, centre) = (mean(false), mean(true));
+        if distance <= core_px {
+            centre += value;
+            count_centre += 1.0;
+        }
+    }
+    outside /= f64::max(count_outside, 1.0);
+    centre /= f64::max(count_centre, 1.0);
     let mut theta = Vector::zeros();
     theta[2] = radius_px.ln();
     theta[3] = start.blur_px.ln();

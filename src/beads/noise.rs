@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 
 use super::correlation::Correlation;
-use crate::image::{Image, quantile};
-use crate::units::interpolated;
+use crate::image::{Image, on_widest_vectors, quantile};
+use crate::units::{interpolated, interpolated_below};
 
 /// Standard deviation of a pixel's noise against the pixel's value.
 #[derive(Clone, Debug)]
@@ -29,22 +29,24 @@ impl Noise {
     /// The measure is the median absolute second difference, which is blind to planes and, being a median, to edges (after Immerkær 1996).
     pub fn measure(pixels: &Image<f32>, usable: &Image<bool>, quanta: bool) -> Self {
         let (w, h) = (pixels.width, pixels.height);
-        let (mut samples, mut greys): (Vec<(f32, f32)>, Vec<f32>) = (Vec::new(), Vec::new());
         let stride = ((w * h) as f64 / 400_000.0).sqrt().ceil().max(1.0) as usize;
-        for row in (1..h.saturating_sub(1)).step_by(stride) {
-            for column in (1..w.saturating_sub(1)).step_by(stride) {
-                if !usable.pixels[row * w + column] {
-                    continue;
-                }
-                let at = |dc: usize, dr: usize| pixels.pixels[(row + dr - 1) * w + column + dc - 1];
-                let corners = at(0, 0) + at(2, 0) + at(0, 2) + at(2, 2);
-                let sides = at(1, 0) + at(0, 1) + at(2, 1) + at(1, 2);
-                let second = (corners - 2.0 * sides + 4.0 * at(1, 1)) / 6.0;
-                samples.push(((corners + sides + at(1, 1)) / 9.0, second.abs()));
-                greys.push(at(1, 1));
-            }
-        }
-        samples.par_sort_by(|a, b| a.0.total_cmp(&b.0));
+        let sample = |row: usize, column: usize| {
+            let at = |dc: usize, dr: usize| pixels.pixels[(row + dr - 1) * w + column + dc - 1];
+            let corners = at(0, 0) + at(2, 0) + at(0, 2) + at(2, 2);
+            let sides = at(1, 0) + at(0, 1) + at(2, 1) + at(1, 2);
+            let second = (corners - 2.0 * sides + 4.0 * at(1, 1)) / 6.0;
+            ((corners + sides + at(1, 1)) / 9.0, second.abs())
+        };
+        let rows: Vec<usize> = (1..h.saturating_sub(1)).step_by(stride).collect();
+        let places = rows.par_iter().flat_map_iter(|&row| {
+            (1..w.saturating_sub(1))
+                .step_by(stride)
+                .filter(move |column| usable.pixels[row * w + column])
+                .map(move |column| (row, column))
+        });
+        let places: Vec<(usize, usize)> = places.collect();
+        let greys: Vec<f32> = places.par_iter().map(|(row, column)| pixels.pixels[row * w + column]).collect();
+        let samples = by_first(places.par_iter().map(|(row, column)| sample(*row, *column)).collect());
         let range = match (samples.first(), samples.last()) {
             (Some(first), Some(last)) => f64::from(last.0 - first.0),
             _ => 0.0,
@@ -88,11 +90,57 @@ impl Noise {
 
     /// Standard deviation at `value`.
     pub fn sigma(&self, value: f64) -> f64 {
-        if let Some((slope, offset)) = self.law {
-            return (slope * value.max(0.0) + offset).sqrt().max(self.floor);
+        if let Some(law) = self.law {
+            return by_law(law, self.floor, value);
         }
         interpolated(&self.values, &self.sigmas, value)
     }
+
+    /// [`Self::sigma`] at each of `values`.
+    pub fn fill_sigmas(&self, values: &[f64], sigmas: &mut [f64]) {
+        on_widest_vectors(Sigmas { noise: self, values, sigmas });
+    }
+}
+
+/// Variance = slope · value + offset.
+#[inline(always)]
+fn by_law((slope, offset): (f64, f64), floor: f64, value: f64) -> f64 {
+    (slope * value.max(0.0) + offset).sqrt().max(floor)
+}
+
+/// See [`Noise::fill_sigmas`].
+struct Sigmas<'a> {
+    noise: &'a Noise,
+    values: &'a [f64],
+    sigmas: &'a mut [f64],
+}
+
+impl pulp::NullaryFnOnce for Sigmas<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { noise, values, sigmas } = self;
+        let each = sigmas.iter_mut().zip(values);
+        match noise.law {
+            Some(law) => each.for_each(|(sigma, value)| *sigma = by_law(law, noise.floor, *value)),
+            // Of few places all are asked at once: a search would guess at every turn.
+            None if noise.values.is_sorted() => each.for_each(|(sigma, value)| {
+                let below: u64 = noise.values.iter().map(|place| u64::from(*place < *value)).sum();
+                *sigma = interpolated_below(&noise.values, &noise.sigmas, *value, below as usize);
+            }),
+            None => each.for_each(|(sigma, value)| *sigma = interpolated(&noise.values, &noise.sigmas, *value)),
+        }
+    }
+}
+
+/// `samples` in the order of their first numbers, those that are alike as they came.
+fn by_first(samples: Vec<(f32, f32)>) -> Vec<(f32, f32)> {
+    // Whole numbers are compared without a branch. They are in the order of `f32::total_cmp`.
+    let rank = |value: f32| value.to_bits() ^ if value.is_sign_negative() { u32::MAX } else { 1 << 31 };
+    let mut order: Vec<(u32, u32)> = samples.par_iter().enumerate().map(|(n, sample)| (rank(sample.0), n as u32)).collect();
+    order.par_sort_unstable_by_key(|(rank, n)| (u64::from(*rank) << 32) | u64::from(*n));
+    order.par_iter().map(|(_, n)| samples[*n as usize]).collect()
 }
 
 /// Fewer levels than these are no scale: a drawing, or a mask, has a few.
@@ -154,6 +202,40 @@ mod tests {
 
     fn sigma(image: &Image<f32>) -> f64 {
         Noise::measure(image, &Image::filled(image.width, image.height, true), false).sigma(56.0)
+    }
+
+    #[test]
+    fn samples_keep_their_order_where_they_are_alike_whatever_they_are() {
+        let mut random = Stream::new(11, 0, 0, Purpose::Evaluation);
+        let strange = [0.0, -0.0, f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MIN_POSITIVE, -1e-40];
+        let first = |n: usize, random: &mut Stream| {
+            if n.is_multiple_of(5) { strange[n / 5 % 8] } else { (4.0 * random.normal()).round() as f32 }
+        };
+        let samples: Vec<(f32, f32)> = (0..5000).map(|n| (first(n, &mut random), n as f32)).collect();
+        let mut stable = samples.clone();
+        stable.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let bits = |samples: &[(f32, f32)]| samples.iter().map(|(a, b)| (a.to_bits(), b.to_bits())).collect::<Vec<_>>();
+        assert_eq!(bits(&by_first(samples)), bits(&stable));
+    }
+
+    #[test]
+    fn many_sigmas_at_once_are_those_of_each() {
+        let image = slope(3.0);
+        let usable = Image::filled(image.width, image.height, true);
+        for quanta in [false, true] {
+            let noise = Noise::measure(&image, &usable, quanta);
+            assert_eq!(noise.law.is_some(), quanta, "either way is tried");
+            let values: Vec<f64> = (0..700)
+                .map(|n| f64::from(n) * 0.2 - 20.0)
+                .chain(noise.values.clone())
+                .chain([f64::NAN, f64::INFINITY])
+                .collect();
+            let mut sigmas = vec![0.0; values.len()];
+            noise.fill_sigmas(&values, &mut sigmas);
+            for (value, sigma) in values.iter().zip(&sigmas) {
+                assert_eq!(sigma.to_bits(), noise.sigma(*value).to_bits(), "{value}");
+            }
+        }
     }
 
     /// Of a JPEG's smooth blocks the noise was a hundred-thousandth of the range: fits stopped short, and clear beads were not found.

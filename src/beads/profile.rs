@@ -88,13 +88,17 @@ impl Cubic {
     }
 }
 
+/// What a profile has at the table's distances, with one more before the first: it is even about 0.
+type Line = [f64; COLUMNS + 1];
+
+/// Of value, derivative by ln β and derivative by nepers; the last place is for vectors of four.
+type Terms = [f64; 4];
+
 /// The profile of one shape and blur, ready for many distances.
 #[derive(Clone)]
 pub struct Profile {
-    /// At the table's distances, with one more before the first: it is even about 0.
-    value: [f64; COLUMNS + 1],
-    by_ln_beta: [f64; COLUMNS + 1],
-    by_nepers: Option<[f64; COLUMNS + 1]>,
+    /// Coefficients of the cubic (Catmull and Rom) from each of the table's distances to the next, constant term first.
+    pieces: [[Terms; 4]; COLUMNS - 2],
     /// Steps of the table from which on the profile is nothing.
     end: f64,
     /// Steps of the table per radius.
@@ -115,7 +119,7 @@ impl Profile {
         Self::summed(shape, beta, matches!(shape, Shape::Flattened(_)).then_some([0.0; COLUMNS + 1]))
     }
 
-    fn summed(shape: Shape, beta: f64, by_nepers: Option<[f64; COLUMNS + 1]>) -> Self {
+    fn summed(shape: Shape, beta: f64, mut by_nepers: Option<Line>) -> Self {
         let (nepers, is_logarithm) = match shape {
             Shape::Flattened(nepers) => (nepers, false),
             Shape::Logarithm(nepers) => (nepers, true),
@@ -125,8 +129,7 @@ impl Profile {
         let nepers = nepers.clamp(0.0, MOST_NEPERS);
         let knot = Cubic::at((nepers / BEND).ln_1p() / knot_step() + 1.0, KNOTS);
         let per_neper = if is_known { 1.0 / (knot_step() * (nepers + BEND)) } else { 0.0 };
-        let mut profile =
-            Self { value: [0.0; COLUMNS + 1], by_ln_beta: [0.0; COLUMNS + 1], by_nepers, end: 0.0, steps: 0.0, widens: 0.0 };
+        let (mut value, mut by_ln_beta) = ([0.0; COLUMNS + 1], [0.0; COLUMNS + 1]);
         for i in 0..4 {
             for j in 0..4 {
                 let start = ((knot.first + i) * ROWS + row.first + j) * COLUMNS;
@@ -134,13 +137,13 @@ impl Profile {
                 let own = knot.weights[i] * row.weights[j];
                 let by_row = knot.weights[i] * row.slopes[j] * (1.0 / LN_BETA_RATIO);
                 let by_knot = knot.slopes[i] * row.weights[j] * per_neper;
-                for (sum, term) in profile.value[1..].iter_mut().zip(line) {
+                for (sum, term) in value[1..].iter_mut().zip(line) {
                     *sum += own * term;
                 }
-                for (sum, term) in profile.by_ln_beta[1..].iter_mut().zip(line) {
+                for (sum, term) in by_ln_beta[1..].iter_mut().zip(line) {
                     *sum += by_row * term;
                 }
-                if let Some(sums) = &mut profile.by_nepers {
+                if let Some(sums) = &mut by_nepers {
                     for (sum, term) in sums[1..].iter_mut().zip(line) {
                         *sum += by_knot * term;
                     }
@@ -148,33 +151,27 @@ impl Profile {
             }
         }
         if is_logarithm {
-            profile.take_logarithm(nepers);
+            take_logarithm(&mut value, &mut by_ln_beta, nepers);
         }
-        for line in [&mut profile.value, &mut profile.by_ln_beta].into_iter().chain(&mut profile.by_nepers) {
+        for line in [&mut value, &mut by_ln_beta].into_iter().chain(&mut by_nepers) {
             line[0] = line[2];
         }
         let (least, most) = (beta_of_row(1), beta_of_row(ROWS - 2));
         let known = beta.clamp(least, most);
-        profile.steps = 1.0 / (STEP * (1.0 + STRETCH * known));
-        profile.widens = if known == beta { STRETCH * known / (1.0 + STRETCH * known) } else { 0.0 };
+        let widens = if known == beta { STRETCH * known / (1.0 + STRETCH * known) } else { 0.0 };
         let widest = beta_of_row(row.first + 3);
         let reach = (1.0 + REACH_BETAS * widest) / (1.0 + STRETCH * widest);
-        profile.end = (reach / STEP + 3.0).min((COLUMNS - 3) as f64);
-        profile
-    }
-
-    /// From G to the logarithm of what is left, over the nepers of the middle.
-    fn take_logarithm(&mut self, nepers: f64) {
-        let stopped = -(-nepers).exp_m1();
-        for (value, by_ln_beta) in self.value[1..].iter_mut().zip(&mut self.by_ln_beta[1..]) {
-            let left = (1.0 - stopped * *value).max(0.5 * (1.0 - stopped));
-            *by_ln_beta *= stopped / (left * nepers);
-            *value = -left.ln() / nepers;
+        Self {
+            pieces: pieces(&value, &by_ln_beta, by_nepers.as_ref()),
+            end: (reach / STEP + 3.0).min((COLUMNS - 3) as f64),
+            steps: 1.0 / (STEP * (1.0 + STRETCH * known)),
+            widens,
         }
     }
 
     /// Value and derivatives at distance `rho`, in radii.
-    #[inline]
+    // Always inline: where vectors are wide the terms are one.
+    #[inline(always)]
     pub fn at(&self, rho: f64) -> Value {
         let x = rho * self.steps;
         if !(x < self.end) {
@@ -182,25 +179,41 @@ impl Profile {
         }
         let i = x as usize;
         let f = x - i as f64;
-        // Catmull–Rom along ρ.
-        let cubic = |line: &[f64; COLUMNS + 1]| {
-            let [a, b, c, d] = [line[i], line[i + 1], line[i + 2], line[i + 3]];
-            (b, 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c))
-        };
-        let (value, p, q, r) = cubic(&self.value);
-        let (blur, blur_p, blur_q, blur_r) = cubic(&self.by_ln_beta);
-        let by_step = p + f * (2.0 * q + 3.0 * f * r);
+        let [b, p, q, r] = &self.pieces[i];
+        let by_step = p[0] + f * (2.0 * q[0] + 3.0 * f * r[0]);
+        let terms: Terms = std::array::from_fn(|n| b[n] + f * (p[n] + f * (q[n] + f * r[n])));
         Value {
-            value: value + f * (p + f * (q + f * r)),
+            value: terms[0],
             by_rho: by_step * self.steps,
             // At a fixed distance the table's own moves inwards as blur grows.
-            by_ln_beta: blur + f * (blur_p + f * (blur_q + f * blur_r)) - by_step * x * self.widens,
-            by_nepers: self.by_nepers.as_ref().map_or(0.0, |line| {
-                let (nepers, p, q, r) = cubic(line);
-                nepers + f * (p + f * (q + f * r))
-            }),
+            by_ln_beta: terms[1] - by_step * x * self.widens,
+            by_nepers: terms[2],
         }
     }
+}
+
+/// From G to the logarithm of what is left, over the nepers of the middle.
+fn take_logarithm(value: &mut Line, by_ln_beta: &mut Line, nepers: f64) {
+    let stopped = -(-nepers).exp_m1();
+    for (value, by_ln_beta) in value[1..].iter_mut().zip(&mut by_ln_beta[1..]) {
+        let left = (1.0 - stopped * *value).max(0.5 * (1.0 - stopped));
+        *by_ln_beta *= stopped / (left * nepers);
+        *value = -left.ln() / nepers;
+    }
+}
+
+/// Catmull–Rom along ρ.
+fn pieces(value: &Line, by_ln_beta: &Line, by_nepers: Option<&Line>) -> [[Terms; 4]; COLUMNS - 2] {
+    let at = |n: usize| -> Terms { [value[n], by_ln_beta[n], by_nepers.map_or(0.0, |line| line[n]), 0.0] };
+    std::array::from_fn(|i| {
+        let [a, b, c, d] = std::array::from_fn(|n| at(i + n));
+        [
+            b,
+            std::array::from_fn(|n| 0.5 * (c[n] - a[n])),
+            std::array::from_fn(|n| a[n] - 2.5 * b[n] + 2.0 * c[n] - 0.5 * d[n]),
+            std::array::from_fn(|n| 0.5 * (d[n] - a[n]) + 1.5 * (b[n] - c[n])),
+        ]
+    })
 }
 
 /// ln of the table's ratio.

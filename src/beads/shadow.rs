@@ -10,7 +10,6 @@ use super::model::{Model, Stopped};
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
-use crate::estimate::median;
 use crate::image::{exp, on_widest_vectors};
 
 /// u, v, ln r, ln s, c.
@@ -65,29 +64,16 @@ impl Evaluated {
         let radius = theta[2].exp();
         let made = if model == Model::Transmission { Profile::with_nepers } else { Profile::new };
         let profile = made(model.shape(theta[4]), theta[3].exp() / radius);
-        // The background first, term by term, which the compiler turns into vector instructions.
-        self.value.fill(0.0);
-        for (term, coefficient) in window.basis.iter().zip(theta.as_slice()[SHAPE..].iter()) {
-            for (value, term) in self.value.iter_mut().zip(term) {
-                *value += coefficient * term;
-            }
-        }
         let [by_u, by_v, by_ln_r, by_ln_s, by_c] = &mut self.shape;
-        for n in 0..count {
-            let (du, dv) = (window.dx[n] - theta[0], window.dy[n] - theta[1]);
-            let rho = (du * du + dv * dv).sqrt() / radius;
-            let g = profile.at(rho);
-            self.rho[n] = rho;
-            (by_c[n], by_ln_r[n], by_ln_s[n], by_u[n]) = (g.value, g.by_rho, g.by_ln_beta, g.by_nepers);
-        }
         on_widest_vectors(Shapes {
             model,
             theta,
             window,
+            profile: &profile,
             value: &mut self.value,
             factor: &mut self.factor,
             shadow: &mut self.shadow,
-            rho: &self.rho,
+            rho: &mut self.rho,
             by_u,
             by_v,
             by_ln_r,
@@ -97,16 +83,16 @@ impl Evaluated {
     }
 }
 
-/// Turns what the profile says (its value in `by_c`, its derivatives in `by_ln_r`, `by_ln_s` and `by_u`, the last by nepers) and the
-/// background (in `value`) into expected values and their derivatives.
+/// Makes expected values and their derivatives of the background and of what the profile says.
 struct Shapes<'a> {
     model: Model,
     theta: &'a Vector,
     window: &'a Window,
+    profile: &'a Profile,
     value: &'a mut [f64],
     factor: &'a mut [f64],
     shadow: &'a mut [f64],
-    rho: &'a [f64],
+    rho: &'a mut [f64],
     by_u: &'a mut [f64],
     by_v: &'a mut [f64],
     by_ln_r: &'a mut [f64],
@@ -119,13 +105,29 @@ impl pulp::NullaryFnOnce for Shapes<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { model, theta, window, value, factor, shadow, rho, by_u, by_v, by_ln_r, by_ln_s, by_c } = self;
+        let Self { model, theta, window, profile, value, factor, shadow, rho, by_u, by_v, by_ln_r, by_ln_s, by_c } = self;
         let (contrast, radius) = (theta[4], theta[2].exp());
         let count = value.len();
         let (by_u, by_v, by_ln_r, by_ln_s, by_c) =
             (&mut by_u[..count], &mut by_v[..count], &mut by_ln_r[..count], &mut by_ln_s[..count], &mut by_c[..count]);
         let (factor, shadow, others) = (&mut factor[..count], &mut shadow[..count], &window.others[..count]);
-        let (rho, dx, dy) = (&rho[..count], &window.dx[..count], &window.dy[..count]);
+        let (rho, dx, dy) = (&mut rho[..count], &window.dx[..count], &window.dy[..count]);
+        // The background first, term by term, which the compiler turns into vector instructions.
+        value.fill(0.0);
+        for (term, coefficient) in window.basis.iter().zip(theta.as_slice()[SHAPE..].iter()) {
+            for (value, term) in value.iter_mut().zip(term) {
+                *value += coefficient * term;
+            }
+        }
+        for n in 0..count {
+            let (du, dv) = (dx[n] - theta[0], dy[n] - theta[1]);
+            rho[n] = (du * du + dv * dv).sqrt() / radius;
+        }
+        // The profile's value waits in `by_c`, its derivatives in `by_ln_r`, `by_ln_s` and `by_u`, the last by nepers.
+        for n in 0..count {
+            let g = profile.at(rho[n]);
+            (by_c[n], by_ln_r[n], by_ln_s[n], by_u[n]) = (g.value, g.by_rho, g.by_ln_beta, g.by_nepers);
+        }
         // The value's derivative by the profile waits in `by_v`.
         match model {
             Model::Transmission => {
@@ -169,7 +171,11 @@ pub struct Weighing {
     pub sigma: Vec<f64>,
     /// In [0, 1]: how far the pixel is trusted.
     pub trust: Vec<f64>,
+    scratch: Vec<f64>,
 }
+
+/// The median size of a normal number over its standard deviation.
+const SIZE_PER_SIGMA: f64 = 0.6745;
 
 /// |residual| in spreads to which a pixel counts fully, from which it counts no more than that, and from which not at all.
 const TRUST: [f64; 3] = [2.5, 4.5, 9.0];
@@ -181,11 +187,14 @@ impl Weighing {
         let count = window.len();
         self.sigma.resize(count, 1.0);
         self.trust.resize(count, 1.0);
-        for n in 0..count {
-            self.sigma[n] = noise.sigma(at.value[n]);
-            self.trust[n] = ((window.value[n] - at.value[n]) / self.sigma[n]).abs();
+        noise.fill_sigmas(&at.value, &mut self.sigma);
+        for ((trust, sigma), (value, expected)) in self.trust.iter_mut().zip(&self.sigma).zip(window.value.iter().zip(&at.value))
+        {
+            *trust = ((value - expected) / sigma).abs();
         }
-        let spread = (median(self.trust.iter().copied()).unwrap_or(0.0) / 0.6745).max(1.0);
+        // Where more than half are no larger than noise, the median is not asked.
+        let is_noise = 2 * self.trust.iter().filter(|size| **size <= SIZE_PER_SIGMA).count() > count;
+        let spread = if is_noise { 1.0 } else { self.usual_size(count) / SIZE_PER_SIGMA }.max(1.0);
         let [full, level, none] = TRUST.map(|limit| limit * spread);
         for (trust, rho) in self.trust.iter_mut().zip(&at.rho) {
             let size = *trust;
@@ -197,6 +206,13 @@ impl Weighing {
                 full / size * ((none - size) / (none - level)).max(0.0)
             };
         }
+    }
+
+    /// The median of what is in `trust`.
+    fn usual_size(&mut self, count: usize) -> f64 {
+        self.scratch.clear();
+        self.scratch.extend_from_slice(&self.trust[..count]);
+        if count == 0 { 0.0 } else { *self.scratch.select_nth_unstable_by(count / 2, f64::total_cmp).1 }
     }
 
     /// Weighted square residual plus priors.
@@ -329,32 +345,81 @@ impl pulp::WithSimd for Products<'_> {
             *residual *= value - expected;
         }
         let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
-        for i in 0..COUNT {
-            for j in i..COUNT {
-                let sum = dot(simd, &columns[i], &columns[j]);
-                normal[(i, j)] = sum;
-                normal[(j, i)] = sum;
+        let column = |n: usize| &columns[n][..window.len()];
+        for first_row in (0..COUNT).step_by(ROWS_AT_ONCE) {
+            let rows: [usize; ROWS_AT_ONCE] = std::array::from_fn(|n| (first_row + n).min(COUNT));
+            for first in (first_row / COLUMNS_AT_ONCE * COLUMNS_AT_ONCE..=COUNT).step_by(COLUMNS_AT_ONCE) {
+                let across: [usize; COLUMNS_AT_ONCE] = std::array::from_fn(|n| (first + n).min(COUNT));
+                let sums = dots(simd, rows.map(column), across.map(column));
+                for (i, sums) in rows.into_iter().zip(sums).filter(|(i, _)| *i < COUNT) {
+                    for (j, sum) in across.into_iter().zip(sums) {
+                        if j == COUNT {
+                            right[i] = sum;
+                        } else if j >= i {
+                            normal[(i, j)] = sum;
+                            normal[(j, i)] = sum;
+                        }
+                    }
+                }
             }
-            right[i] = dot(simd, &columns[i], &columns[COUNT]);
         }
         (normal, right)
     }
 }
 
-/// Sum of products in eight strands, always in the same order, whatever the vectors of the machine.
+/// Products that are summed side by side: each sum waits for itself, and what was loaded serves several.
+const ROWS_AT_ONCE: usize = 2;
+const COLUMNS_AT_ONCE: usize = 4;
+
+/// Sum of products, see [`dots`].
 #[inline(always)]
 fn dot<S: pulp::Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
-    let whole = a.len().min(b.len()) / STRANDS * STRANDS;
-    let (x, y) = (S::as_simd_f64s(&a[..whole]).0, S::as_simd_f64s(&b[..whole]).0);
-    let registers = STRANDS / S::F64_LANES;
-    let mut strands = [simd.splat_f64s(0.0); STRANDS];
-    for (x, y) in x.chunks_exact(registers).zip(y.chunks_exact(registers)) {
-        for n in 0..registers {
-            strands[n] = simd.add_f64s(strands[n], simd.mul_f64s(x[n], y[n]));
+    dots(simd, [a], [b])[0][0]
+}
+
+/// Sums of products of each of `a` with each of `b`, all of one length: in eight strands, always in the same order, whatever the vectors of the
+/// machine and whatever is summed beside.
+#[inline(always)]
+fn dots<S: pulp::Simd, const M: usize, const N: usize>(simd: S, a: [&[f64]; M], b: [&[f64]; N]) -> [[f64; N]; M] {
+    match S::F64_LANES {
+        8 => dots_in::<S, M, N, 1>(simd, a, b),
+        4 => dots_in::<S, M, N, 2>(simd, a, b),
+        2 => dots_in::<S, M, N, 4>(simd, a, b),
+        _ => dots_in::<S, M, N, 8>(simd, a, b),
+    }
+}
+
+/// [`dots`], where a sum's strands are so many vectors: a number that the compiler knows, so that they stay where they are added.
+#[inline(always)]
+fn dots_in<S: pulp::Simd, const M: usize, const N: usize, const VECTORS: usize>(
+    simd: S,
+    a: [&[f64]; M],
+    b: [&[f64]; N],
+) -> [[f64; N]; M] {
+    let count = a.iter().chain(&b).map(|column| column.len()).min().unwrap_or(0);
+    let whole = count / STRANDS * STRANDS;
+    let x = a.map(|column| S::as_simd_f64s(&column[..whole]).0);
+    let y = b.map(|column| S::as_simd_f64s(&column[..whole]).0);
+    let mut strands = [[[simd.splat_f64s(0.0); VECTORS]; N]; M];
+    for step in 0..whole / STRANDS {
+        for n in 0..VECTORS {
+            let y = y.map(|column| column[step * VECTORS + n]);
+            for (strands, x) in strands.iter_mut().zip(x) {
+                let x = x[step * VECTORS + n];
+                for (strands, y) in strands.iter_mut().zip(y) {
+                    strands[n] = simd.add_f64s(strands[n], simd.mul_f64s(x, y));
+                }
+            }
         }
     }
-    let rest: f64 = a[whole..].iter().zip(&b[whole..]).map(|(x, y)| x * y).sum();
-    pulp::bytemuck::cast_slice::<_, f64>(&strands[..registers]).iter().sum::<f64>() + rest
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            let rest: f64 = a[i][whole..count].iter().zip(&b[j][whole..count]).map(|(x, y)| x * y).sum();
+            // A copy, or all of them would lie in memory from the first.
+            let strands = strands[i][j];
+            pulp::bytemuck::cast_slice::<_, f64>(&strands).iter().sum::<f64>() + rest
+        })
+    })
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@ use crate::image::{Image, quantile};
 /// A line is looked at in so many parts, and is one where so many say the same.
 const PARTS: usize = 12;
 const FEWEST_PARTS: usize = 4;
+/// Between and beside these no stretch has room that is long enough, see `runs`.
+const LOOKED_AT_FIRST: [usize; 5] = [2, 3, 6, 7, 8];
 /// Pixels of a part that are looked at, about, and at least.
 const LOOKS: usize = 32;
 const FEWEST_LOOKS: usize = 12;
@@ -40,10 +42,14 @@ pub(super) fn dead_lines(pixels: &Image<f32>, usable: &Image<bool>, floor: f64) 
     let mut dead = Image::filled(width, height, false);
     for (count, length, strides) in [(width, height, [1, width]), (height, width, [width, 1])] {
         let lines = Lines { pixels: &pixels.pixels, usable: &usable.pixels, count, length, strides, floor };
-        let parts: Vec<Vec<[f64; WIDEST]>> = (0..PARTS).into_par_iter().map(|part| lines.departures(part)).collect();
+        let of_line = |buffer: &mut Vec<f32>, line: usize| -> [[f64; PARTS]; WIDEST] {
+            std::array::from_fn(|more| lines.departures(line, more + 1, buffer))
+        };
+        let departures: Vec<[[f64; PARTS]; WIDEST]> =
+            (0..count).into_par_iter().map_init(|| Vec::with_capacity(2 * LOOKS), of_line).collect();
         let each = (0..count).flat_map(|line| (1..=WIDEST).flat_map(move |wide| [-1.0, 1.0].map(|sign| (line, wide, sign))));
         for (line, lines_wide, sign) in each {
-            let is_hit = |part: &usize| parts[*part][line][lines_wide - 1] * sign > 0.0;
+            let is_hit = |part: &usize| departures[line][lines_wide - 1][*part] * sign > 0.0;
             for (first, last) in runs(&(0..PARTS).filter(is_hit).collect::<Vec<_>>(), sign) {
                 for along in lines.part(first).start..lines.part(last).end {
                     (line..line + lines_wide).for_each(|line| dead.pixels[lines.index(line, along)] = true);
@@ -70,12 +76,21 @@ impl Lines<'_> {
         part * self.length / PARTS..(part + 1) * self.length / PARTS
     }
 
-    /// Of each line, alone and together with the next: by how much it differs in a part from what lies beside it, 0 where it does not.
-    fn departures(&self, part: usize) -> Vec<[f64; WIDEST]> {
-        let mut buffer = Vec::with_capacity(2 * LOOKS);
-        (0..self.count)
-            .map(|line| std::array::from_fn(|more| self.departure(part, line, more + 1, &mut buffer).unwrap_or(0.0)))
-            .collect()
+    /// By how much so many lines differ in each part from what lies beside them, 0 where they do not; 0 throughout where they are not dead by
+    /// the parts that are looked at first.
+    fn departures(&self, line: usize, lines_wide: usize, buffer: &mut Vec<f32>) -> [f64; PARTS] {
+        let mut departures = [0.0; PARTS];
+        let mut look = |part: usize| self.departure(part, line, lines_wide, buffer).unwrap_or(0.0);
+        for part in LOOKED_AT_FIRST {
+            departures[part] = look(part);
+        }
+        if departures.iter().all(|departure| *departure == 0.0) {
+            return departures;
+        }
+        for part in (0..PARTS).filter(|part| !LOOKED_AT_FIRST.contains(part)) {
+            departures[part] = look(part);
+        }
+        departures
     }
 
     fn departure(&self, part: usize, line: usize, lines_wide: usize, buffer: &mut Vec<f32>) -> Option<f64> {
@@ -118,5 +133,26 @@ impl Lines<'_> {
             }
         }
         Some(own)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_no_part_of_the_first_is_hit_there_is_no_stretch() {
+        let (mut without, mut with) = (0, 0);
+        for hits in 0..1usize << PARTS {
+            let parts: Vec<usize> = (0..PARTS).filter(|part| hits >> part & 1 == 1).collect();
+            let stretches = [-1.0, 1.0].map(|sign| runs(&parts, sign).count());
+            if LOOKED_AT_FIRST.iter().any(|part| parts.contains(part)) {
+                with += stretches[1];
+            } else {
+                without += 1;
+                assert_eq!(stretches, [0, 0], "{parts:?}");
+            }
+        }
+        assert!(without == 1 << (PARTS - LOOKED_AT_FIRST.len()) && with > 100, "{without}, {with}");
     }
 }

@@ -35,7 +35,8 @@ pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     }
     // Writing is found first: its strokes lie at the ends of the scale as well, but are no clipping.
     let flagged = |flags: &Image<u8>, any: u8| flags.map(|flag| flag & any != 0);
-    let at_end = |end: Option<f32>| pixels.map(|v| end == Some(*v));
+    let none = || Image::filled(pixels.width, pixels.height, false);
+    let at_end = |end: Option<f32>| end.map_or_else(none, |end| pixels.map(|v| end == *v));
     let flags = frame.correction.as_ref().and_then(|correction| correction.flags.as_deref());
     let mut saturated = at_end(frame.clipping.saturated_at);
     let mut black = at_end(frame.clipping.black_at);

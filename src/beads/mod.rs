@@ -22,6 +22,7 @@ mod model;
 mod noise;
 mod place_covariance;
 mod probe;
+mod products;
 mod profile;
 mod radius_sigma;
 mod several;

@@ -121,18 +121,36 @@ impl pulp::NullaryFnOnce for Sigmas<'_> {
     #[inline(always)]
     fn call(self) {
         let Self { noise, values, sigmas } = self;
-        let each = sigmas.iter_mut().zip(values);
-        match noise.law {
-            Some(law) => each.for_each(|(sigma, value)| *sigma = by_law(law, noise.floor, *value)),
-            // Of few places all are asked at once: a search would guess at every turn.
-            None if noise.values.is_sorted() => each.for_each(|(sigma, value)| {
-                let below: u64 = noise.values.iter().map(|place| u64::from(*place < *value)).sum();
+        if let Some(law) = noise.law {
+            for (sigma, value) in sigmas.iter_mut().zip(values) {
+                *sigma = by_law(law, noise.floor, *value);
+            }
+            return;
+        }
+        if !noise.values.is_sorted() {
+            for (sigma, value) in sigmas.iter_mut().zip(values) {
+                *sigma = interpolated(&noise.values, &noise.sigmas, *value);
+            }
+            return;
+        }
+        // Of few places all are asked at once, of many values side by side: a search would guess at every turn.
+        for (sigmas, values) in sigmas.chunks_mut(SIDE_BY_SIDE).zip(values.chunks(SIDE_BY_SIDE)) {
+            let (mut asked, mut below) = ([0.0; SIDE_BY_SIDE], [0u64; SIDE_BY_SIDE]);
+            asked[..values.len()].copy_from_slice(values);
+            for place in &noise.values {
+                for (below, value) in below.iter_mut().zip(&asked) {
+                    *below += u64::from(*place < *value);
+                }
+            }
+            for ((sigma, value), below) in sigmas.iter_mut().zip(values).zip(below) {
                 *sigma = interpolated_below(&noise.values, &noise.sigmas, *value, below as usize);
-            }),
-            None => each.for_each(|(sigma, value)| *sigma = interpolated(&noise.values, &noise.sigmas, *value)),
+            }
         }
     }
 }
+
+/// Values whose places are counted together.
+const SIDE_BY_SIDE: usize = 32;
 
 /// `samples` in the order of their first numbers, those that are alike as they came.
 fn by_first(samples: Vec<(f32, f32)>) -> Vec<(f32, f32)> {

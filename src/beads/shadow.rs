@@ -8,6 +8,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::model::{Model, Stopped};
 use super::noise::Noise;
+use super::products::{dot, dots};
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
 use crate::image::{exp, on_widest_vectors};
@@ -171,7 +172,7 @@ pub struct Weighing {
     pub sigma: Vec<f64>,
     /// In [0, 1]: how far the pixel is trusted.
     pub trust: Vec<f64>,
-    scratch: Vec<f64>,
+    scratch: Vec<u64>,
 }
 
 /// The median size of a normal number over its standard deviation.
@@ -210,9 +211,10 @@ impl Weighing {
 
     /// The median of what is in `trust`.
     fn usual_size(&mut self, count: usize) -> f64 {
+        // Numbers without a sign are in the order of their bits, which are compared in fewer steps.
         self.scratch.clear();
-        self.scratch.extend_from_slice(&self.trust[..count]);
-        if count == 0 { 0.0 } else { *self.scratch.select_nth_unstable_by(count / 2, f64::total_cmp).1 }
+        self.scratch.extend(self.trust[..count].iter().map(|size| size.to_bits()));
+        if count == 0 { 0.0 } else { f64::from_bits(*self.scratch.select_nth_unstable(count / 2).1) }
     }
 
     /// Weighted square residual plus priors.
@@ -309,9 +311,6 @@ impl Equations {
     }
 }
 
-/// Sums are made in so many strands.
-const STRANDS: usize = 8;
-
 /// Fills the columns of [`Equations`] and multiplies them with one another.
 struct Products<'a> {
     columns: &'a mut [Vec<f64>],
@@ -370,57 +369,6 @@ impl pulp::WithSimd for Products<'_> {
 /// Products that are summed side by side: each sum waits for itself, and what was loaded serves several.
 const ROWS_AT_ONCE: usize = 2;
 const COLUMNS_AT_ONCE: usize = 4;
-
-/// Sum of products, see [`dots`].
-#[inline(always)]
-fn dot<S: pulp::Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
-    dots(simd, [a], [b])[0][0]
-}
-
-/// Sums of products of each of `a` with each of `b`, all of one length: in eight strands, always in the same order, whatever the vectors of the
-/// machine and whatever is summed beside.
-#[inline(always)]
-fn dots<S: pulp::Simd, const M: usize, const N: usize>(simd: S, a: [&[f64]; M], b: [&[f64]; N]) -> [[f64; N]; M] {
-    match S::F64_LANES {
-        8 => dots_in::<S, M, N, 1>(simd, a, b),
-        4 => dots_in::<S, M, N, 2>(simd, a, b),
-        2 => dots_in::<S, M, N, 4>(simd, a, b),
-        _ => dots_in::<S, M, N, 8>(simd, a, b),
-    }
-}
-
-/// [`dots`], where a sum's strands are so many vectors: a number that the compiler knows, so that they stay where they are added.
-#[inline(always)]
-fn dots_in<S: pulp::Simd, const M: usize, const N: usize, const VECTORS: usize>(
-    simd: S,
-    a: [&[f64]; M],
-    b: [&[f64]; N],
-) -> [[f64; N]; M] {
-    let count = a.iter().chain(&b).map(|column| column.len()).min().unwrap_or(0);
-    let whole = count / STRANDS * STRANDS;
-    let x = a.map(|column| S::as_simd_f64s(&column[..whole]).0);
-    let y = b.map(|column| S::as_simd_f64s(&column[..whole]).0);
-    let mut strands = [[[simd.splat_f64s(0.0); VECTORS]; N]; M];
-    for step in 0..whole / STRANDS {
-        for n in 0..VECTORS {
-            let y = y.map(|column| column[step * VECTORS + n]);
-            for (strands, x) in strands.iter_mut().zip(x) {
-                let x = x[step * VECTORS + n];
-                for (strands, y) in strands.iter_mut().zip(y) {
-                    strands[n] = simd.add_f64s(strands[n], simd.mul_f64s(x, y));
-                }
-            }
-        }
-    }
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let rest: f64 = a[i][whole..count].iter().zip(&b[j][whole..count]).map(|(x, y)| x * y).sum();
-            // A copy, or all of them would lie in memory from the first.
-            let strands = strands[i][j];
-            pulp::bytemuck::cast_slice::<_, f64>(&strands).iter().sum::<f64>() + rest
-        })
-    })
-}
 
 #[cfg(test)]
 mod tests {

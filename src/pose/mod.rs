@@ -72,7 +72,7 @@ pub use case::PRIOR_SIGMA;
 pub use edited::register_edited;
 pub use explained::{Explained, ExplainedPrior, FoundReading, PriorUse, Reading, Rejected, RejectedReading, Told};
 pub use file::PoseFileError;
-pub use frame_k::{FrameK, OtherSize};
+pub use frame_k::{FrameK, OtherSize, why_other_size};
 pub use hand_marks::{ByHand, Edited, HandMark, HandSays};
 pub use innovation::{fuse, innovation};
 pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma, is_pitch};

@@ -15,8 +15,8 @@ const CENTRE: f64 = 0.01;
 /// Of the focal length, in shares of it: a distance of 1 m to 5 mm.
 const FOCAL: f64 = 0.005;
 
-/// What to do about it.
-const MEASURE: &str = "calibrate K and give its file (--intrinsics with one frame, \"intrinsics\" in a session)";
+/// What to do about it; how it is given, `register` and a session say of every K of a header.
+const MEASURE: &str = "calibrate K, and give it (intrinsics)";
 
 /// What K may be instead, and what is said of it, also that it cannot be told; nothing where somebody states K, or the beads solve it.
 pub(super) fn heard_of_k(request: &Registration, settled: &Settled) -> (Option<Nuisance>, Option<Word>) {
@@ -161,7 +161,7 @@ mod tests {
             heard_of_k(&Registration { is_k_of_header, ..request(&layout, &landmarks) }, &settled).1
         };
         let Some(Word::Note(words)) = said(AMONG, true) else { panic!("no note among the beads") };
-        for part in [HEADER_K, "10 px off the middle", "0.5 % off", "move tip by", "--intrinsics"] {
+        for part in [HEADER_K, "10 px off the middle", "0.5 % off", "move tip by", "calibrate K, and give it (intrinsics)"] {
             assert!(words.contains(part), "{part} in {words}");
         }
         // Far from the beads, and in the picture still.

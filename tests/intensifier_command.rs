@@ -94,6 +94,15 @@ fn what_the_header_has_against_a_pose_puts_it_in_doubt() {
     let elsewhere = registered("elsewhere", &shut);
     assert!(elsewhere.cautions.iter().any(|words| words.contains("has the collimator shut")), "{:?}", elsewhere.cautions);
     assert_eq!(elsewhere.doubt, plain.doubt, "a caution alone");
+    // Where nobody gives K it is the header's, and that counts.
+    let words = "register plain.dcm --beads beads.mrk.json --out of-header.json";
+    let output = sidecarm(folder.path(), &words.split_whitespace().collect::<Vec<_>>());
+    assert!(output.status.success(), "{}", said(&output));
+    let of_header = Pose::read(&path("of-header.json")).expect("a pose");
+    let counts = |pose: &Pose, what: &str| pose.notes.iter().any(|words| words.contains(what));
+    assert!(counts(&of_header, "nobody has measured K, which is the header's"), "{:?}", of_header.notes);
+    assert!(counts(&of_header, "the stated sigma of the pose itself hold for K"), "{:?}", of_header.notes);
+    assert!(!counts(&plain, "nobody has measured K") && counts(&plain, "the stated sigma hold for K"), "{:?}", plain.notes);
 }
 
 /// Open beam through the disc of `law` with a round piece of lead in its middle: what arrives beside the lead, and what `glare` spreads.

@@ -81,7 +81,7 @@ impl Lab {
             beads,
             ..Pose::default()
         };
-        ViewAlone { name: format!("view-{view}.dcm"), pose, prior: None, round_field: None }
+        ViewAlone { name: format!("view-{view}.dcm"), pose, prior: None, round_field: None, is_k_of_header: false }
     }
 
     pub fn all(&mut self, k: &Intrinsics) -> Vec<ViewAlone> {

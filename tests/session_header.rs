@@ -22,6 +22,7 @@ fn without_a_calibrated_arm_the_frames_header_gives_its_camera() {
         assert_eq!(pose["intrinsics_source"], "given", "not solved: {told:#}");
         let notes = pose["notes"].to_string();
         assert!(notes.contains("K is taken from the header") && notes.contains("give intrinsics in the session"), "{notes}");
+        assert!(notes.contains("nobody has measured K") && notes.contains("1 σ"), "landmarks' sigma count that: {notes}");
         assert!(!notes.contains("--intrinsics"), "that is no word of a session: {notes}");
     }
 }

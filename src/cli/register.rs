@@ -13,7 +13,7 @@ use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{BeadResidual, IntrinsicsPrior, Pose, Registration, register_masked, register_tagged};
+use crate::pose::{BeadResidual, IntrinsicsPrior, Pose, Refusal, Registration, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -147,7 +147,10 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
         }
     } else {
         lines.push(format!("refused: {}", pose.reason.as_deref().unwrap_or("no reason given")));
-        lines.push(format!("{} bead-like shadows in the frame, {} beads in the layout", pose.detections, pose.beads.len()));
+        // Of a console's ways round each is another picture, and the reason says what was seen in it.
+        if !matches!(pose.refusal, Some(Refusal::NoOrientation { .. } | Refusal::EitherOrientation { .. })) {
+            lines.push(format!("{} bead-like shadows in the frame, {} beads in the layout", pose.detections, pose.beads.len()));
+        }
     }
     if pose.is_accepted() {
         lines.push(format!("{:16} {:>10} {:>10} {:>9} {:>9} {:>8}", "bead", "u px", "v px", "du px", "dv px", "sigma px"));
@@ -196,4 +199,23 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
     }
     lines.extend(pose.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::beads::BeadLayout;
+
+    /// Of four beads that agreed among six shadows the next line said that there were none.
+    #[test]
+    fn a_refused_console_does_not_count_shadows_of_the_stored_picture() {
+        let layout = BeadLayout::none();
+        let told = |refusal: &Refusal| summary(&Registration::new([64, 48], &layout).refuse(refusal), false);
+        let none = Refusal::NoOrientation { as_stored: "four of 6 shadows".to_owned(), mirrored: "none".to_owned() };
+        let either = Refusal::EitherOrientation { matched: 8, rms_px: 0.5, other_matched: 8, other_px: 0.6 };
+        for console in [none, either] {
+            assert!(!told(&console).contains("0 bead-like shadows"), "{}", told(&console));
+        }
+        assert!(told(&Refusal::Unsolved).contains("0 bead-like shadows in the frame"), "the control");
+    }
 }

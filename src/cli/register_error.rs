@@ -7,7 +7,7 @@ use crate::beads::tags::{TagsError, TagsFileError};
 use crate::beads::{BeadsError, CorrespondencesError};
 use crate::geometry::{ConsoleError, IntensifierError};
 use crate::image::ImageFileError;
-use crate::pose::PoseFileError;
+use crate::pose::{PoseFileError, why_other_size};
 
 /// Why nothing was registered.
 #[derive(Debug, thiserror::Error)]
@@ -106,7 +106,7 @@ pub enum RegisterError {
         error: ConsoleError,
     },
     /// K is for another frame.
-    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
+    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, {why}", path = path.display(), frame = frame.display(), why = why_other_size(*expected, *found, by_file))]
     Size {
         /// File of K.
         path: PathBuf,
@@ -117,6 +117,11 @@ pub enum RegisterError {
         /// The frame's size.
         found: [u32; 2],
     },
+}
+
+/// How keys of a console's geometry are stated to `register`.
+fn by_file(keys: &str) -> String {
+    format!("write {keys} into a file and give it with --console, or let --console solve find it by a prior")
 }
 
 fn angles_hint(error: &IntensifierError) -> &'static str {

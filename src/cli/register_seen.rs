@@ -52,6 +52,8 @@ impl Console {
 pub(super) struct Seen {
     pub frame: Frame,
     pub intrinsics: Option<Intrinsics>,
+    /// K is the header's: nobody has measured it.
+    pub is_k_of_header: bool,
     /// How sure K is; `None`: it is known, or solved.
     pub prior: Option<IntrinsicsPrior>,
     pub pitch_mm: Option<f64>,
@@ -65,7 +67,7 @@ pub(super) struct Seen {
 
 impl Seen {
     fn plain(frame: Frame, intrinsics: Option<Intrinsics>, prior: Option<IntrinsicsPrior>, pitch_mm: Option<f64>) -> Self {
-        Self { frame, intrinsics, prior, pitch_mm, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
+        Self { frame, intrinsics, is_k_of_header: false, prior, pitch_mm, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
     }
 
     /// The frame stored at `path`, oriented and corrected, with K of the file, or of the header, as the console left it.
@@ -105,7 +107,13 @@ impl Seen {
                 }
             };
             let notes = [undone, vec![words]].concat();
-            return Ok(Self { turn_rad: window.turned_rad, notes, ..Self::plain(frame, intrinsics, None, pitch_mm) });
+            let is_k_of_header = intrinsics.is_some();
+            return Ok(Self {
+                is_k_of_header,
+                turn_rad: window.turned_rad,
+                notes,
+                ..Self::plain(frame, intrinsics, None, pitch_mm)
+            });
         };
         let of_frame = file.of_frame(console.map(|console| &console.geometry), found);
         let k = of_frame.map_err(|error| match error {
@@ -123,7 +131,8 @@ impl Seen {
             let expected = panel_px.unwrap_or(found);
             notes.push(format!("K is for {expected:?} px: the frame is taken as binned {binning} x {binning}"));
         }
-        Ok(Self { frame, intrinsics, prior, pitch_mm: pitch_mm.or(tagged_pitch_mm), turn_rad, off_pitch, notes })
+        let pitch_mm = pitch_mm.or(tagged_pitch_mm);
+        Ok(Self { turn_rad, off_pitch, notes, ..Self::plain(frame, intrinsics, prior, pitch_mm) })
     }
 
     /// That K is not that of the frame's own header, where the header has one. Pixels of header and K are those of the picture as stored.
@@ -146,6 +155,7 @@ impl Seen {
     pub fn request<'a>(&self, args: &RegisterArgs, given: &'a Given, prior: Option<&'a Prior>) -> Registration<'a> {
         Registration {
             intrinsics: self.intrinsics,
+            is_k_of_header: self.is_k_of_header,
             intrinsics_prior: self.prior,
             pitch_mm: self.pitch_mm,
             source_to_isocentre_mm: isocentre_of(&self.frame.tags),

@@ -43,7 +43,8 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         let console = match Console::of(args, &given, &stored, &mut notes)? {
             Ok(console) => console,
             Err(pose) => {
-                views.push(ViewAlone { name: path.display().to_string(), pose: *pose, prior: None, round_field: None });
+                let name = path.display().to_string();
+                views.push(ViewAlone { name, pose: *pose, prior: None, round_field: None, is_k_of_header: false });
                 progress.advance(1);
                 continue;
             }
@@ -69,7 +70,8 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
             pose.notes.push(format!("{assumed} bead positions without sigma_mm are taken to be good to {SIGMA_MM} mm per axis"));
         }
         intrinsics_prior = seen.prior;
-        views.push(ViewAlone { name: path.display().to_string(), pose, prior, round_field });
+        let (name, is_k_of_header) = (path.display().to_string(), seen.is_k_of_header);
+        views.push(ViewAlone { name, pose, prior, round_field, is_k_of_header });
         progress.advance(1);
     }
     let request = SeveralViews { layout: &given.layout, intrinsics_prior, landmarks: &given.landmarks, views: &views };

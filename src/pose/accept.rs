@@ -4,13 +4,13 @@ use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
+use super::nuisance::Nuisance;
 use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Status};
 use super::residual::BeadResidual;
 use super::settle::Settled;
 use super::shadow::{Shadow, square};
 use super::solve::{Free, Solution, about, left_out};
 use super::unseen::Unseen;
-use super::unstated_lens::UnstatedLens;
 use crate::beads::{Bead, Detection, Landmark};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
@@ -20,7 +20,7 @@ impl Case<'_> {
         &self,
         last: &Settled,
         covariance: &DMatrix<f64>,
-        lens: Option<&UnstatedLens>,
+        unstated: &[Nuisance],
         accident: f64,
         mut notes: Vec<String>,
     ) -> Pose {
@@ -70,7 +70,7 @@ impl Case<'_> {
             covariance: Some(rows_of(&about_origin)),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
-            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance, lens),
+            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance, unstated),
             beads,
             detections: self.detections.len(),
             shadows,
@@ -183,17 +183,17 @@ impl Case<'_> {
     }
 }
 
-/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps, and `lens` what may have bent the picture besides.
+/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps, and `unstated` what counts besides.
 pub(super) fn landmarks_of(
     landmarks: &[Landmark],
     solution: &Solution,
     covariance: &DMatrix<f64>,
-    lens: Option<&UnstatedLens>,
+    unstated: &[Nuisance],
 ) -> Vec<LandmarkUncertainty> {
     let of = |landmark: &Landmark| {
         let p = solution.camera_from_lps.transform_point(landmark.lps_mm);
-        let straight = solution.sharpness(landmark.lps_mm, covariance);
-        let sharpness = lens.map_or(straight, |lens| lens.with(&straight, solution, landmark.lps_mm));
+        let by_beads = solution.sharpness(landmark.lps_mm, covariance);
+        let sharpness = unstated.iter().fold(by_beads, |known, open| open.with(&known, solution, landmark.lps_mm));
         LandmarkUncertainty {
             name: landmark.name.clone(),
             lps_mm: landmark.lps_mm,

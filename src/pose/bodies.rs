@@ -121,6 +121,7 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
             // They are places of the reference body, and so is what the field may say of them.
             landmarks: &[],
             round_field: None,
+            is_k_of_header: false,
             ..*request
         };
         let layout = layout_of(request.layout, name);

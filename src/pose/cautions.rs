@@ -17,6 +17,14 @@ pub(super) fn is_of_round_field(words: &str) -> bool {
     words.contains(ROUND_FIELD)
 }
 
+/// What is said of K that the header alone says.
+pub(super) const HEADER_K: &str = "nobody has measured K, which is the header's";
+
+/// Whether a caution, a doubt or a note is that one: it, too, is told anew.
+pub(super) fn is_of_header_k(words: &str) -> bool {
+    words.contains(HEADER_K)
+}
+
 /// χ² per degree of freedom from which residuals are said to be larger than expected.
 const LARGER_CHI2_PER_DOF: f64 = 1.5;
 /// What is said of them, behind how many times.

@@ -40,6 +40,38 @@ pub enum OtherSize {
     },
 }
 
+/// What probably made a frame of `found` columns and rows from one of `expected`, for which K is, and what to do about it, in words that go on after
+/// both; `declare`: how keys of a console's geometry are stated.
+#[must_use]
+pub fn why_other_size(expected: [u32; 2], found: [u32; 2], declare: fn(&str) -> String) -> String {
+    let [columns, rows] = found;
+    if let Some(binning) = whole_binning(expected, [rows, columns]) {
+        let (binned, key) = if binning > 1 {
+            (format!(" and binned it {binning} x {binning}"), format!("\"binning\": {binning}, "))
+        } else {
+            (String::new(), String::new())
+        };
+        return format!(
+            "columns and rows the other way round: the console probably turned it by a quarter{binned}, clockwise or (270) counter-clockwise; {}",
+            declare(&format!("{{{key}\"rotation_deg\": 90}}"))
+        );
+    }
+    let same = (expected[0] == columns, expected[1] == rows);
+    if !matches!(same, (true, false) | (false, true)) {
+        return "which no binning gives: the console cropped or zoomed it; give K of the frame as it is".to_owned();
+    }
+    let side = if same.0 { "height" } else { "width" };
+    let cropped = if columns <= expected[0] && rows <= expected[1] {
+        format!(" or cropped; where it was cropped {}", declare(&format!("{{\"crop_px\": [left, top, {columns}, {rows}]}}")))
+    } else {
+        String::new()
+    };
+    format!(
+        "which no binning gives: its {side} alone is another, it was probably stretched{cropped}; where it was stretched give K of the frame as it is, \
+         with its own fx and fy"
+    )
+}
+
 impl IntrinsicsFile {
     /// K of a frame that was stored with `stored_px` columns and rows: through `console` where one is declared, else binned where that is what
     /// makes the sizes differ.
@@ -145,6 +177,33 @@ mod tests {
         assert!(matches!(file().of_frame(Some(&crop), [620, 480]), Err(OtherSize::Console(_))), "it is cropped");
         let sized = IntrinsicsFile { size_px: None, ..file() };
         assert!(sized.of_frame(None, [600, 470]).is_ok(), "nobody says for which size");
+    }
+
+    /// Of a picture that was turned by a quarter it was said that it was cropped or zoomed.
+    #[test]
+    fn a_size_says_whether_the_picture_was_turned_stretched_or_cropped() {
+        let why = |found: [u32; 2]| why_other_size([640, 498], found, |keys| format!("declare {keys}"));
+        for (found, says) in [
+            ([498, 640], "turned it by a quarter, clockwise or (270) counter-clockwise; declare {\"rotation_deg\": 90}"),
+            (
+                [249, 320],
+                "a quarter and binned it 2 x 2, clockwise or (270) counter-clockwise; declare {\"binning\": 2, \"rotation_deg\": 90}",
+            ),
+            (
+                [640, 480],
+                "its height alone is another, it was probably stretched or cropped; where it was cropped declare {\"crop_px\": [left, top, 640, 480]}",
+            ),
+            ([600, 498], "its width alone is another"),
+            ([600, 480], "which no binning gives: the console cropped or zoomed it; give K of the frame as it is"),
+        ] {
+            assert!(why(found).contains(says), "{found:?}: {}", why(found));
+        }
+        let larger = why([640, 640]);
+        assert!(
+            larger.contains("probably stretched;") && larger.ends_with("with its own fx and fy"),
+            "no crop enlarges: {larger}"
+        );
+        assert!(!why([600, 480]).contains("turned") && !why([498, 600]).contains("turned"), "the controls");
     }
 
     /// A console that enlarges a picture and says so in its pixels, beside no distance, told it to `register` alone.

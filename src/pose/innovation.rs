@@ -6,7 +6,7 @@ use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
 use super::accept::rows_of;
-use super::cautions::{is_of_looseness, is_of_round_field};
+use super::cautions::{is_of_header_k, is_of_looseness, is_of_round_field};
 use super::prior::Prior;
 use super::record::{Covariance, Pose, TelemetryInnovation};
 use crate::estimate::{about, deviation};
@@ -105,7 +105,7 @@ pub fn fuse(mut pose: Pose, measured: &Prior, register: &dyn Fn(&Prior) -> Pose)
         if both.is_accepted() && used(&both) == used(&pose) {
             let mut both = Pose { innovation: Some(innovation), ..both };
             // What the beads alone leave open telemetry does not settle, but for how tightly the pose is held: that is said of both.
-            let is_told_anew = |words: &str| is_of_looseness(words) || is_of_round_field(words);
+            let is_told_anew = |words: &str| is_of_looseness(words) || is_of_round_field(words) || is_of_header_k(words);
             let is_open = |words: &String| !is_told_anew(words.as_str()) && both.doubt.as_deref().is_none_or(is_of_looseness);
             if let Some(doubt) = pose.doubt.filter(is_open) {
                 both.doubt(doubt);

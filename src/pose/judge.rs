@@ -8,13 +8,14 @@ use super::cautions::{Cautions, larger_residuals};
 use super::doubt::ORDINARY;
 use super::explained::{Reading, Rejected};
 use super::flat::{Loose, hold, worst_landmark};
+use super::nuisance::{Nuisance, Word};
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Free, Options, solve};
-use super::unstated_lens::{Bends, UnstatedLens};
+use super::unstated::unstated;
 use super::verdict::{MOST_CHANCE, check_geometry, extents_mm, is_plate, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
 
@@ -40,10 +41,10 @@ impl Case<'_> {
             notes.push(format!("bead positions without sigma_mm are taken to be good to {DEFAULT_SIGMA_MM} mm per axis"));
         }
         match self.verdict(candidate, &mut notes) {
-            Ok(Believed { settled, covariance, lens, chance, cautions }) => {
+            Ok(Believed { settled, covariance, unstated, chance, cautions }) => {
                 let Cautions { words, doubt, .. } = cautions;
                 let explained = Some(self.explained(Some((&settled, &covariance))));
-                Pose { cautions: words, doubt, explained, ..self.accept(&settled, &covariance, lens.as_ref(), chance, notes) }
+                Pose { cautions: words, doubt, explained, ..self.accept(&settled, &covariance, &unstated, chance, notes) }
             }
             Err(refusal) => self.refuse(&refusal, notes),
         }
@@ -115,11 +116,12 @@ impl Case<'_> {
             Some(Loose::NearlyFlat(words)) => notes.push(words),
             None => {}
         }
-        let (lens, bends) = UnstatedLens::heard(self.request, &settled);
-        match bends {
-            Some(Bends::AtPlace(words)) => cautions.doubt(words),
-            Some(Bends::AtEdge(words)) => notes.push(words),
-            None => {}
+        let (unstated, said) = unstated(self.request, &settled);
+        for word in said {
+            match word {
+                Word::Doubt(words) => cautions.doubt(words),
+                Word::Note(words) => notes.push(words),
+            }
         }
         if matched < candidate.hypothesis.in_view {
             notes.push(format!("{matched} of {} beads that should be in view are matched", candidate.hypothesis.in_view));
@@ -129,7 +131,7 @@ impl Case<'_> {
                 notes.extend(cautions.words);
                 Err(refusal)
             }
-            None => Ok(Believed { settled, covariance, lens, chance, cautions }),
+            None => Ok(Believed { settled, covariance, unstated, chance, cautions }),
         }
     }
 
@@ -264,7 +266,7 @@ impl Case<'_> {
 struct Believed {
     settled: Settled,
     covariance: DMatrix<f64>,
-    lens: Option<UnstatedLens>,
+    unstated: Vec<Nuisance>,
     chance: f64,
     cautions: Cautions,
 }

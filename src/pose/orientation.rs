@@ -47,7 +47,7 @@ pub struct SolvedConsole {
 /// When neither the picture nor its mirror image gives a pose without the prior, or both do.
 pub fn solve_console(request: &Registration, frame: &Frame, panel: &Panel) -> Result<SolvedConsole, Refusal> {
     let [plain, mirrored] = [Flip::None, Flip::Horizontal].map(|flip| upright(request, frame, panel, flip));
-    let reason = |pose: &Pose| pose.reason.clone().unwrap_or_default();
+    let reason = |pose: &Pose| pose.refusal.as_ref().map_or_else(String::new, Refusal::words_beside_prior);
     let (flip, found) = match (plain, mirrored) {
         (Ok(found), Err(_)) => (Flip::None, found),
         (Err(_), Ok(found)) => (Flip::Horizontal, found),

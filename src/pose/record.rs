@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::cautions::is_of_looseness;
+use super::cautions::{is_of_header_k, is_of_looseness};
 use super::explained::{Explained, Reading, Rejected, RejectedReading};
 use super::file::{PoseFileError, read_json, write_json};
 use super::hand_marks::Edited;
@@ -327,8 +327,10 @@ impl Pose {
     pub fn beyond_sigma(&self) -> Option<String> {
         let (k, camera_from_lps) = self.camera().filter(|_| self.intrinsics_sigma_px.is_none())?;
         let depth_mm = camera_from_lps.transform_point(self.centroid_lps_mm?).z;
+        let counts_k = self.notes.iter().chain(&self.cautions).any(|words| is_of_header_k(words));
+        let what = if counts_k { "the stated sigma of the pose itself" } else { "the stated sigma" };
         Some(format!(
-            "the stated sigma hold for K and the layout of the beads as given: f, or the layout's scale, wrong by 1 % moves the specimen {:.1} mm along the beam, a principal point wrong by 10 px {:.1} mm across",
+            "{what} hold for K and the layout of the beads as given: f, or the layout's scale, wrong by 1 % moves the specimen {:.1} mm along the beam, a principal point wrong by 10 px {:.1} mm across",
             0.01 * depth_mm,
             10.0 * depth_mm / k.fx
         ))

@@ -373,10 +373,48 @@ fn ambiguous(
 }
 
 impl Refusal {
+    /// In words, where there is a prior that beads are not sought by: nobody is told to give one, nor a better one.
+    pub(super) fn words_beside_prior(&self) -> String {
+        let mut told = self.clone();
+        if let Self::Chance { prior_given, .. } = &mut told {
+            *prior_given = true;
+        }
+        let words = told.to_string();
+        match told {
+            // What is advised is all about priors and the layout's symmetry, and stands behind.
+            Self::Ambiguous { .. } => words.split_once("; ").map_or(words.as_str(), |(what, _)| what).to_owned(),
+            _ => words,
+        }
+    }
+
     /// Its kind in one word, as in a pose's file.
     #[must_use]
     pub fn code(&self) -> String {
         let value = serde_json::to_value(self).unwrap_or_default();
         value["code"].as_str().unwrap_or_default().to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whoever had given a prior was told to give one.
+    #[test]
+    fn a_prior_is_not_advised_beside_one() {
+        let (matched, rms_px, prior_given) = (4, 0.8, false);
+        let chance = Refusal::Chance { matched, in_view: 8, rms_px, expected: 1.8, shadows: 6, limit: 0.01, prior_given };
+        let (angle_deg, shift_mm, fit, other_matched, other_fit) = (9.0, 12.0, 0.5, 4, 0.6);
+        for rival in [Rival::OtherNames, Rival::Flat, Rival::SecondSet] {
+            let ambiguous =
+                Refusal::Ambiguous { rival, angle_deg, shift_mm, matched, fit, other_matched, other_fit, prior_given };
+            let (plain, beside) = (ambiguous.to_string(), ambiguous.words_beside_prior());
+            assert!(plain.contains("prior") && !beside.contains("prior"), "{beside}");
+            assert!(plain.starts_with(&beside) && beside.contains("12.0 mm"), "{beside}");
+        }
+        assert!(chance.to_string().contains("or give --prior"), "the control");
+        assert!(chance.words_beside_prior().ends_with("bring more beads into view"), "{}", chance.words_beside_prior());
+        let few = Refusal::NoMatch { shadows: 9, beads: 9 };
+        assert_eq!(few.words_beside_prior(), few.to_string());
     }
 }

@@ -23,6 +23,8 @@ pub struct Registration<'a> {
     pub layout: &'a BeadLayout,
     /// K of the frame; `None`: solved, which takes six beads that are not coplanar.
     pub intrinsics: Option<Intrinsics>,
+    /// Whether `intrinsics` is what the frame's header says, with the middle of the picture: nobody has measured it.
+    pub is_k_of_header: bool,
     /// How sure `intrinsics` is, which is its mean: K is solved with this prior. `None`: it is known.
     pub intrinsics_prior: Option<IntrinsicsPrior>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
@@ -62,6 +64,7 @@ impl<'a> Registration<'a> {
             size_px,
             layout,
             intrinsics: None,
+            is_k_of_header: false,
             intrinsics_prior: None,
             pitch_mm: None,
             source_to_isocentre_mm: None,

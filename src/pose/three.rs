@@ -154,7 +154,7 @@ impl Body<'_, '_> {
             chi2_per_dof,
             options: self.options(),
         };
-        Ok(Placed { pose: self.case.accept(&settled, &covariance, None, chance, Vec::new()), off: Some(off) })
+        Ok(Placed { pose: self.case.accept(&settled, &covariance, &[], chance, Vec::new()), off: Some(off) })
     }
 
     fn options(&self) -> Options {

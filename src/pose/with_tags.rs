@@ -11,7 +11,7 @@ use super::residual::TagResidual;
 use super::settle::Settled;
 use super::solve::{Free, Options, Solution, about, deviation};
 use super::tagged::{CORNER_SIGMA_PX, TOLD_APART, TagPose, View, corners, estimate, off_by, views};
-use super::unstated_lens::UnstatedLens;
+use super::unstated::unstated;
 use crate::acquire::Frame;
 use crate::beads::tags::{SeenTag, TagLayout};
 use crate::geometry::{Intrinsics, Rigid};
@@ -264,12 +264,10 @@ impl Tags<'_> {
         notes.push(format!(
             "the pose is that of tags alone; their corners are taken to be good to {CORNER_SIGMA_PX} px, which beads would check"
         ));
-        let (lens, bends) = UnstatedLens::heard(self.request, &settled);
-        let mut pose = self.case().accept(&settled, &found.covariance(), lens.as_ref(), 0.0, notes);
+        let (unstated, said) = unstated(self.request, &settled);
+        let mut pose = self.case().accept(&settled, &found.covariance(), &unstated, 0.0, notes);
         (pose.chance, pose.fused) = (None, false);
-        if let Some(bends) = bends {
-            bends.tell(&mut pose);
-        }
+        said.into_iter().for_each(|word| word.tell(&mut pose));
         for view in self.views {
             if pose.bodies.iter().all(|body| body.name != view.tag.body) {
                 let (name, lps_from_body) = (view.tag.body.clone(), Rigid::IDENTITY);

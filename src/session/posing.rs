@@ -172,6 +172,7 @@ impl PoseJob {
         let size_px = self.bound.frame.size_px.map(|n| n as u32);
         let registration = Registration {
             intrinsics: self.intrinsics,
+            is_k_of_header: self.k_source == Some(KSource::Header),
             intrinsics_prior: self.intrinsics_prior,
             pitch_mm: self.pitch_mm,
             source_to_isocentre_mm: self.source_to_isocentre_mm,

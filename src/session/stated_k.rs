@@ -1,7 +1,7 @@
 //! K that a session states, for one of its frames.
 
 use crate::geometry::ConsoleGeometry;
-use crate::pose::{FrameK, IntrinsicsFile, OtherSize};
+use crate::pose::{FrameK, IntrinsicsFile, OtherSize, why_other_size};
 
 /// K of the frame called `name`, which was stored with `stored_px` columns and rows.
 ///
@@ -16,8 +16,8 @@ pub(super) fn stated_k(
     file.of_frame(console, stored_px).map_err(|error| match error {
         OtherSize::Console(error) => format!("K of the session: {error}"),
         OtherSize::NoBinning { expected, found } => format!(
-            "K is for frames of {expected:?} px, {name} has {found:?} px, which no binning gives: the console cropped or zoomed it; \
-             give K of the frame as it is"
+            "K is for frames of {expected:?} px, {name} has {found:?} px, {}",
+            why_other_size(expected, found, |keys| format!("declare \"console\": {keys} in the session file"))
         ),
     })
 }
@@ -35,6 +35,11 @@ mod tests {
         for part in ["[620, 480]", "frame 1 has [600, 470] px, which no binning gives", "give K of the frame as it is"] {
             assert!(refused.contains(part), "{part} in {refused}");
         }
+        let turned = stated_k(&file, None, [480, 620], "frame 1").expect_err("turned");
+        assert!(
+            turned.contains("counter-clockwise; declare \"console\": {\"rotation_deg\": 90} in the session file"),
+            "{turned}"
+        );
         let console = ConsoleGeometry { crop_px: Some([10, 20, 600, 440]), ..ConsoleGeometry::default() };
         let refused = stated_k(&file, Some(&console), [620, 480], "frame 1").expect_err("it is cropped");
         assert!(refused.starts_with("K of the session: "), "{refused}");

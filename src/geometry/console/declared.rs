@@ -131,7 +131,8 @@ impl ConsoleGeometry {
             return wrong(
                 "detector_from_image",
                 format!("{rows:?}"),
-                "three rows that turn, mirror, enlarge (0.05 to 20) and shift, last row [0, 0, 1]",
+                "three rows that turn, mirror, enlarge once for both axes (0.05 to 20) and shift, last row [0, 0, 1]; a picture that was \
+                 stretched along one axis cannot be declared: give K of the picture as it is, with fx and fy, or resample it to square pixels",
             );
         }
         Ok(())
@@ -149,4 +150,23 @@ pub fn homogeneous_rows(affine: &DAffine2) -> [[f64; 3]; 3] {
 pub(super) fn affine(rows: &[[f64; 3]; 3]) -> DAffine2 {
     let [[a, b, x], [c, d, y], _] = *rows;
     DAffine2::from_mat2_translation(DMat2::from_cols(DVec2::new(a, c), DVec2::new(b, d)), DVec2::new(x, y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A matrix that stretched one axis was refused without a word of what to do.
+    #[test]
+    fn a_stretched_picture_is_told_what_to_give_instead() {
+        let check = |x: f64, y: f64| {
+            let rows = [[x, 0.0, 3.0], [0.0, y, -2.0], [0.0, 0.0, 1.0]];
+            ConsoleGeometry { detector_from_image: Some(rows), ..ConsoleGeometry::default() }.check()
+        };
+        assert_eq!([check(1.2, 1.2), check(-0.5, 0.5)], [Ok(()), Ok(())], "enlarged, and mirrored");
+        let words = check(1.2, 1.0).map_or_else(|error| error.to_string(), |()| String::new());
+        for part in ["detector_from_image is [[1.2", "stretched along one axis cannot be declared", "with fx and fy"] {
+            assert!(words.contains(part), "{part} in {words}");
+        }
+    }
 }

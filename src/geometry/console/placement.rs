@@ -121,11 +121,14 @@ impl ConsoleGeometry {
 
 /// What a person can declare about a frame of another size.
 fn remedy(expected: [u32; 2], found: [u32; 2]) -> String {
-    let factor = expected[0].checked_div(found[0]).unwrap_or(0);
-    if found == [expected[1], expected[0]] {
-        "it looks turned: declare \"console\": {\"rotation_deg\": 90 or 270} in the session file".to_owned()
-    } else if factor >= 2 && found == expected.map(|side| side / factor) {
+    let binned = |px: [u32; 2]| (1..=8).find(|factor| px == expected.map(|side| side / factor));
+    let [columns, rows] = found;
+    if let Some(factor) = binned(found) {
         format!("it looks binned: declare \"console\": {{\"binning\": {factor}}} in the session file")
+    } else if let Some(factor) = binned([rows, columns]) {
+        let (looks, key) =
+            if factor > 1 { ("binned and turned", format!("\"binning\": {factor}, ")) } else { ("turned", String::new()) };
+        format!("it looks {looks}: declare \"console\": {{{key}\"rotation_deg\": 90 or 270}} in the session file")
     } else if found[0] <= expected[0] && found[1] <= expected[1] {
         "declare the shown part as \"console\": {\"crop_px\": [left, top, columns, rows]}, or its \"binning\" or \"zoom\", in the \
          session file, or name the C-arm calibration of this mode"
@@ -197,9 +200,13 @@ mod tests {
         let plain = ConsoleGeometry::default();
         let turned = ConsoleGeometry { rotation_deg: 90.0, ..plain.clone() };
         assert!(plain.calibration_of(&carm(), [600, 400]).is_ok() && turned.calibration_of(&carm(), [400, 600]).is_ok());
-        for (found, says) in
-            [([400, 600], "rotation_deg"), ([300, 200], "\"binning\": 2"), ([500, 400], "crop_px"), ([900, 600], "zoom")]
-        {
+        for (found, says) in [
+            ([400, 600], "looks turned: declare \"console\": {\"rotation_deg\": 90 or 270}"),
+            ([300, 200], "{\"binning\": 2}"),
+            ([200, 300], "{\"binning\": 2, \"rotation_deg\""),
+            ([500, 400], "crop_px"),
+            ([900, 600], "zoom"),
+        ] {
             let error = plain.calibration_of(&carm(), found).expect_err("another size").to_string();
             assert!(error.contains(says), "{error}");
         }

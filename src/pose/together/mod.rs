@@ -44,6 +44,8 @@ pub struct ViewAlone {
     pub prior: Option<Prior>,
     /// Of a frame that an image intensifier may have taken, in its pixels: what [`super::Registration::round_field_of`] says.
     pub round_field: Option<Disc>,
+    /// Whether its K is its header's, as [`super::Registration::is_k_of_header`] has it.
+    pub is_k_of_header: bool,
 }
 
 /// What is asked.
@@ -133,6 +135,7 @@ impl SeveralViews<'_> {
             bump.from_view = accepted[bump.from_view];
         }
         let round_fields: Vec<Option<Disc>> = accepted.iter().map(|n| self.views[*n].round_field).collect();
+        let are_k_of_header: Vec<bool> = accepted.iter().map(|n| self.views[*n].is_k_of_header).collect();
         let common = Common {
             setup: &setup,
             blocks: &blocks,
@@ -142,6 +145,7 @@ impl SeveralViews<'_> {
             sorted: &sorted,
             landmarks: self.landmarks,
             round_fields: &round_fields,
+            are_k_of_header: &are_k_of_header,
         };
         let mut views: Vec<Pose> = self.views.iter().map(|view| view.pose.clone()).collect();
         for (n, view) in accepted.iter().enumerate() {

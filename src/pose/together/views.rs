@@ -11,8 +11,9 @@ use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::mask::Disc;
 use crate::pose::accept::{landmarks_of, rows_of};
-use crate::pose::cautions::{is_of_looseness, is_of_residuals, is_of_round_field, larger_residuals};
+use crate::pose::cautions::{is_of_header_k, is_of_looseness, is_of_residuals, is_of_round_field, larger_residuals};
 use crate::pose::flat::{Loose, hold, is_off_plane, worst_landmark};
+use crate::pose::nuisance::{Nuisance, Word};
 use crate::pose::record::{BodyPose, Pose};
 use crate::pose::request::Registration;
 use crate::pose::residual::BeadResidual;
@@ -20,7 +21,7 @@ use crate::pose::settle::Settled;
 use crate::pose::shadow::square;
 use crate::pose::solve::{Free, Match, Options, Solution};
 use crate::pose::unseen::Unseen;
-use crate::pose::unstated_lens::{Bends, UnstatedLens};
+use crate::pose::unstated::unstated;
 
 /// The common solution.
 pub struct Common<'s> {
@@ -34,6 +35,8 @@ pub struct Common<'s> {
     pub landmarks: &'s [Landmark],
     /// Of each view that an image intensifier may have taken.
     pub round_fields: &'s [Option<Disc>],
+    /// Of each view whose K is its header's.
+    pub are_k_of_header: &'s [bool],
 }
 
 impl Common<'_> {
@@ -78,10 +81,11 @@ impl Common<'_> {
         let at_landmark = worst_landmark(&solution, self.landmarks, &solution.covariance);
         let is_asked = at_landmark.is_some();
         let is_round = self.round_fields[view].is_some();
-        let is_told_anew = |words: &str| (is_asked && is_of_looseness(words)) || (is_round && is_of_round_field(words));
+        let is_told_anew =
+            |words: &str| (is_asked && is_of_looseness(words)) || (is_round && is_of_round_field(words)) || is_of_header_k(words);
         let stands = |words: &str| !(is_off_plane(words) || is_of_residuals(words) || is_told_anew(words));
         let chi2_per_dof = self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64;
-        let (lens, bends) = self.unstated_lens(view, &solution, chi2_per_dof);
+        let (unstated, said) = self.unstated(view, &solution, chi2_per_dof, alone.size_px);
         let holds = |n: &usize| beads[*n].used && self.lps_from_body(view, *n) == Rigid::IDENTITY;
         let places_mm: Vec<DVec3> = (0..setup.layout.beads.len()).filter(holds).map(|n| setup.layout.beads[n].lps_mm).collect();
         let loose = hold(&solution, &places_mm, at_landmark, &solution.covariance);
@@ -100,7 +104,7 @@ impl Common<'_> {
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(motion.pivot_mm),
-            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance, lens.as_ref()),
+            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance, &unstated),
             beads,
             shadows,
             doubt: alone.doubt.clone().filter(|words| stands(words)),
@@ -114,16 +118,20 @@ impl Common<'_> {
             Some(Loose::NearlyFlat(words)) => pose.notes.push(words),
             None => {}
         }
-        if let Some(bends) = bends {
-            bends.tell(&mut pose);
-        }
+        said.into_iter().for_each(|word| word.tell(&mut pose));
         pose.notes.extend(larger_residuals(chi2_per_dof));
         pose.on_panel_anew()
     }
 
-    /// What may have bent a view's picture, as far as its own beads, in their places by the layout, leave that open: S of a lens turns with
+    /// What nobody states of a view, as far as its own beads, in their places by the layout, leave that open: S of a lens turns with
     /// the arm, so that other views tell little of it, and places that were solved from all views have taken up part of a lens.
-    fn unstated_lens(&self, view: usize, solution: &Solution, chi2_per_dof: f64) -> (Option<UnstatedLens>, Option<Bends>) {
+    fn unstated(
+        &self,
+        view: usize,
+        solution: &Solution,
+        chi2_per_dof: f64,
+        size_px: Option<[u32; 2]>,
+    ) -> (Vec<Nuisance>, Vec<Word>) {
         let setup = self.setup;
         let holds =
             |o: &Observation| o.view == view && !setup.freed[o.bead] && self.lps_from_body(view, o.bead) == Rigid::IDENTITY;
@@ -140,8 +148,9 @@ impl Common<'_> {
             chi2_per_dof,
             options: Options::least_squares(setup.free),
         };
-        let (round_field, landmarks) = (self.round_fields[view], self.landmarks);
-        UnstatedLens::heard(&Registration { round_field, landmarks, ..Registration::new([0; 2], setup.layout) }, &settled)
+        let (round_field, is_k_of_header, landmarks) = (self.round_fields[view], self.are_k_of_header[view], self.landmarks);
+        let size_px = size_px.unwrap_or_default();
+        unstated(&Registration { round_field, is_k_of_header, landmarks, ..Registration::new(size_px, setup.layout) }, &settled)
     }
 
     fn lps_from_body(&self, view: usize, bead: usize) -> Rigid {

@@ -17,10 +17,11 @@ fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
 fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
     let (unheard, without) = ("nothing to be used from the C-arm for 3 s", "frames that came meanwhile have no telemetry of it");
     // What is played, what is said while it happens, what the report says was lost.
-    let cases: [(&str, &[&str], Option<&str>); 7] = [
+    let cases: [(&str, &[&str], Option<&str>); 8] = [
         ("carm:mute@0.3", &[unheard], Some(without)),
         ("carm:gone@0.3", &[unheard], Some(without)),
         ("carm:freeze@0.3", &["the C-arm's clock stands still"], Some("C-arm: its clock stood still for")),
+        ("carm:stuck@0.3", &["the C-arm's clock stands still"], Some("C-arm: its clock stood still for")),
         (
             "carm:millis@0",
             &["the C-arm's clock advances", "where 1 s passes", "does it send milliseconds?"],

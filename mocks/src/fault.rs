@@ -23,7 +23,7 @@ use crate::MockError;
 use crate::pty::Line;
 
 /// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`, `Away`), or for good (`Mute`, `Gone`,
-/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Other`).
+/// `Freeze`, `Stuck`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Other`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -49,6 +49,8 @@ pub enum FaultKind {
     Gone,
     /// The device's clock stands still; packets go on.
     Freeze,
+    /// All that the device measures has the same time for ever; what it says of itself has the right one.
+    Stuck,
     /// The device begins anew: its clock and the numbers of its packets start at zero.
     Restart,
     /// The device's clock is set 5 s ahead; the numbers of its packets go on.
@@ -65,7 +67,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -77,6 +79,7 @@ impl FaultKind {
         Self::Mute,
         Self::Gone,
         Self::Freeze,
+        Self::Stuck,
         Self::Restart,
         Self::Jump,
         Self::Ahead,
@@ -100,6 +103,7 @@ impl FaultKind {
             Self::Mute => "mute",
             Self::Gone => "gone",
             Self::Freeze => "freeze",
+            Self::Stuck => "stuck",
             Self::Restart => "restart",
             Self::Jump => "jump",
             Self::Ahead => "ahead",
@@ -198,6 +202,7 @@ impl Channel {
             None
             | Some(
                 FaultKind::Freeze
+                | FaultKind::Stuck
                 | FaultKind::Restart
                 | FaultKind::Jump
                 | FaultKind::Ahead

@@ -113,6 +113,7 @@ pub fn play(
             if let Some(sender) = senders.iter_mut().find(|sender| sender.device == fault.device) {
                 match fault.kind {
                     FaultKind::Freeze => sender.frozen_s = Some(now_s),
+                    FaultKind::Stuck => sender.stuck_s = Some(now_s),
                     FaultKind::Restart => (sender.began_s, sender.epoch_us, sender.sequence) = (now_s, 0, 0),
                     FaultKind::Jump => sender.epoch_us += JUMP_US,
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
@@ -208,6 +209,8 @@ struct Sender {
     oddities: Vec<Oddity>,
     /// When the clock stopped.
     frozen_s: Option<f64>,
+    /// Of which moment all is that it measures.
+    stuck_s: Option<f64>,
     /// When it was switched on.
     began_s: f64,
     /// Seconds that its clock advances in one, but for `ppm`.
@@ -276,6 +279,7 @@ impl Sender {
             dialect,
             oddities: performance.oddities.clone(),
             frozen_s: None,
+            stuck_s: None,
             began_s: 0.0,
             clock_rate: 1.0,
             is_other: false,
@@ -357,7 +361,7 @@ impl Sender {
                     self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
                 }
             }
-            let stamp = self.stamp(at_s);
+            let stamp = self.stamp(self.stuck_s.map_or(at_s, |stuck_s| at_s.min(stuck_s)));
             let packet = match self.device {
                 Device::Carm => {
                     let mut message = script.carm(at_s, &mut self.random);

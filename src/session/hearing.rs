@@ -87,6 +87,10 @@ impl Hearing {
         let line = self.lines.get_mut(&device)?;
         line.silences.extend(line.silence_until(host_us));
         (line.last_us, line.ever, line.told) = (Some(host_us), true, false);
+        // What a device says of itself may be stamped anew while all that it measures has the same time for ever.
+        if matches!(sample, Sample::Metadata(_)) {
+            return None;
+        }
         let device_us = sample.device_us();
         let since_us = match line.clock {
             Some((shown_us, since_us)) if shown_us == device_us => since_us,
@@ -233,7 +237,42 @@ mod tests {
     use super::*;
     use crate::acquire::{Domain, Frame};
     use crate::image::Image;
+    use crate::telemetry::{CarmSample, Metadata};
     use crate::timeline::{Binding, Timeline};
+
+    /// A C-arm whose measurements had the time of the first for ever was not said, because its metadata had another one each second.
+    #[test]
+    fn a_clock_that_stands_still_is_said_whatever_time_the_metadata_have() {
+        let of_arm = |sequence, device_us| Sample::Carm(CarmSample { device_us, sequence, ..CarmSample::UNTOLD });
+        let of_itself = |sequence, device_us| {
+            let text = String::new;
+            Sample::Metadata(Metadata {
+                device_us,
+                sequence,
+                device: DeviceKind::Carm,
+                schema: 0,
+                serial_number: text(),
+                firmware: text(),
+                calibration_id: text(),
+                units: text(),
+                limits: Vec::new(),
+            })
+        };
+        let played = |arm_us: fn(u64) -> u64, itself_us: fn(u64) -> u64| {
+            let mut hearing = Hearing::new([DeviceKind::Carm]);
+            let mut said = Vec::new();
+            for n in 0..150_u32 {
+                let at_us = 40_000 * u64::from(n);
+                let sample = if n % 25 == 0 { of_itself(n, itself_us(at_us)) } else { of_arm(n, arm_us(at_us)) };
+                said.extend(hearing.sample(DeviceKind::Carm, at_us as i64, &sample));
+            }
+            (said.len(), hearing.losses(6_000_000).len())
+        };
+        assert_eq!(played(|_| 7, |at_us| at_us), (1, 1));
+        assert_eq!(played(|_| 7, |_| 7), (1, 1));
+        assert_eq!(played(|at_us| at_us, |_| 7), (0, 0), "what it says of itself has no time that counts");
+        assert_eq!(played(|at_us| at_us, |at_us| at_us), (0, 0));
+    }
 
     #[test]
     fn a_clock_of_another_rate_is_said_once_with_its_unit_and_is_a_loss() {

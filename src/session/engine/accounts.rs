@@ -5,6 +5,11 @@ use super::Engine;
 use crate::telemetry::{DeviceKind, NO_EXPOSURES};
 use crate::timeline::BindingFlag;
 
+/// A frame with it is no exposure of its own: a copy, or a picture that was taken back.
+fn is_no_exposure(flag: &BindingFlag) -> bool {
+    matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. })
+}
+
 impl Engine {
     /// What the lines have lost, a sentence each.
     #[must_use]
@@ -14,7 +19,9 @@ impl Engine {
             let (device, count) = (track.device, track.no_time);
             format!("{device}: {count} packets whose device time is none, 285 years and more from that of the first")
         });
-        packets.chain(no_time).chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+        let stands_for_another =
+            |number| self.binder.binding(number).is_some_and(|binding| binding.flags.iter().any(is_no_exposure));
+        packets.chain(no_time).chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us), stands_for_another)).collect()
     }
 
     /// Whether frames are expected to give poses by beads or tags.
@@ -58,12 +65,10 @@ impl Engine {
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
     fn untied(&self) -> Untied {
         let end_us = self.ended_us.unwrap_or(self.now_us);
-        let stands_for_another =
-            |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
         let mut untied = Untied::default();
         for number in self.unbound.keys() {
             let binding = self.binder.binding(*number);
-            if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
+            if binding.is_some_and(|binding| binding.flags.iter().any(is_no_exposure)) {
                 continue;
             }
             if binding.is_some_and(|binding| binding.flags.iter().any(|flag| matches!(flag, BindingFlag::SecondPicture { .. }))) {

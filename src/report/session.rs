@@ -138,7 +138,8 @@ impl SessionReport {
     }
 }
 
-/// `7 frames, 5 accepted, 1 accepted but the image disagrees, 2 copies`: what a session came to, in a line for the terminal.
+/// `9 frames, 5 accepted, 1 accepted but the image disagrees, 1 refused, 2 copies`: what a session came to, in a line for the terminal. Copies
+/// stand in no other count but that of the frames.
 #[must_use]
 pub fn counted(pairs: &[Pair]) -> String {
     counted_of(pairs, pairs.len(), 0)
@@ -147,10 +148,9 @@ pub fn counted(pairs: &[Pair]) -> String {
 /// The same of a session that recorded so many `frames`, and left `unfinished` of them without a pair, or with one that is not complete.
 #[must_use]
 pub fn counted_of(pairs: &[Pair], frames: usize, unfinished: usize) -> String {
-    let copies = pairs.iter().filter(|pair| pair.copy_of.is_some()).count();
     let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| pair.copy_of.is_none() && keep(pair)).count();
     let accepted = count(&|pair| pair.status == PairStatus::Accepted);
-    let mut words = format!("{} frames, {accepted} accepted", frames.max(pairs.len()) - copies);
+    let mut words = format!("{} frames, {accepted} accepted", frames.max(pairs.len()));
     for (status, what) in [
         (PairStatus::AcceptedImageDisagrees, "but the image disagrees"),
         (PairStatus::AcceptedTelemetryDisagrees, "but telemetry disagrees"),
@@ -174,10 +174,10 @@ pub fn counted_of(pairs: &[Pair], frames: usize, unfinished: usize) -> String {
     if unfinished > 0 {
         words += &format!(", {unfinished} not finished");
     }
-    match copies {
+    match pairs.iter().filter(|pair| pair.copy_of.is_some()).count() {
         0 => {}
         1 => words += ", 1 copy",
-        _ => words += &format!(", {copies} copies"),
+        copies => words += &format!(", {copies} copies"),
     }
     words
 }

@@ -89,7 +89,7 @@ pub struct Args {
     /// Lines that carry random bytes instead of packets: carm, robot or both.
     #[arg(long, value_delimiter = ',', value_parser = device)]
     pub garbage: Vec<Device>,
-    /// What the devices say oddly in packets that are well formed: carm-stopped, copper, robot-homing, tracked, tracked-at-first,
+    /// What the devices say oddly in packets that are well formed: carm-stopped, copper, sid-in-metres, robot-homing, tracked, tracked-at-first,
     /// sensed-at-first, apart, swaying.
     #[arg(long, value_delimiter = ',', value_parser = oddity)]
     pub odd: Vec<Oddity>,

@@ -50,7 +50,7 @@ impl Bound {
         Self {
             frame,
             time_us: mid_us.unwrap_or(arrival_us),
-            joints: joints.as_ref().map(|answer| answer.value),
+            joints: joints.as_ref().map(|answer| answer.value.with_plausible_distance()),
             carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
             beam: mid_us
                 .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))

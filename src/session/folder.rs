@@ -340,6 +340,11 @@ impl Collector {
                 pair.flags.extend(new);
             }
         }
+        for (number, words) in engine.words_of_those_that_count_on() {
+            if let Some(pair) = self.rows.get_mut(&number) {
+                pair.flags.push(words);
+            }
+        }
         self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();
         self.report.losses = losses;
         self.report.losses.extend(none_accepted(&self.report.pairs).filter(|_| engine.seeks_beads()));

@@ -2,13 +2,9 @@
 
 use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::Engine;
+use super::counted_on::is_no_exposure;
 use crate::telemetry::{DeviceKind, NO_EXPOSURES};
 use crate::timeline::BindingFlag;
-
-/// A frame with it is no exposure of its own: a copy, or a picture that was taken back.
-fn is_no_exposure(flag: &BindingFlag) -> bool {
-    matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. })
-}
 
 impl Engine {
     /// What the lines have lost, a sentence each.
@@ -30,11 +26,12 @@ impl Engine {
         self.layout.is_some() || self.tags.is_some()
     }
 
-    /// Exposures without a frame and frames of no exposure, each with the kind of warning that it is.
+    /// Exposures without a frame, frames of no exposure, and frames that count on without the C-arm, each with the kind of warning that it is.
     pub fn unmatched(&self) -> impl Iterator<Item = (&'static str, String)> {
         let all = [
             ("exposures without a frame", self.exposures_without_frame()),
             ("frames of no exposure", self.frames_of_no_exposure()),
+            ("C-arm counter", self.frames_that_count_on()),
         ];
         all.into_iter().filter_map(|(kind, words)| Some((kind, words?)))
     }
@@ -65,6 +62,7 @@ impl Engine {
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
     fn untied(&self) -> Untied {
         let end_us = self.ended_us.unwrap_or(self.now_us);
+        let counted_on = self.counted_on().map(|counted_on| counted_on.frames).unwrap_or_default();
         let mut untied = Untied::default();
         for number in self.unbound.keys() {
             let binding = self.binder.binding(*number);
@@ -75,6 +73,8 @@ impl Engine {
                 untied.second += 1;
             } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
                 untied.unheard += 1;
+            } else if counted_on.iter().any(|(frame, _)| frame == number) {
+                untied.counted_on += 1;
             } else {
                 untied.other += 1;
             }

@@ -103,7 +103,7 @@ mod tests {
         };
         assert_eq!(of(&[3, 4, 5]), [3, 4, 5]);
         assert_eq!(of(&[3, 5, 8]), [3, 5, 8], "some were not exported");
-        assert_eq!(of(&[57, 58, 59]), [], "another day's");
+        assert!(of(&[57, 58, 59]).is_empty(), "another day's");
         assert_eq!(of(&[1, 2, 3, 3, 2, 4]), [3, 4], "exported again");
         assert_eq!(of(&[u32::MAX, 3]), [3]);
     }

@@ -129,7 +129,7 @@ fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
         ("frame size", |f, _, _, _| f.size_px = [48, 62], &["turned it by 90 degrees"]),
         ("pitch", |f, _, _, _| f.tags.pitch_mm = Some([0.194, 0.194]), &["0.194", "0.388"]),
         ("SID", |f, _, _, _| f.tags.sid_mm = Some(740.0), &["740", "1020", "telemetry"]),
-        ("SID", |_, b, _, _| b.joints.source_to_detector_mm = 1.02, &["1.02", "metres"]),
+        ("SID", |_, b, _, _| b.joints.source_to_detector_mm = 1.02, &["1.02", "metres", "the calibration's 1020 mm are used"]),
         ("kVp", |f, _, _, _| f.tags.kvp = Some(74.0), &["telemetry says 90", "the frame 74"]),
         ("kVp", |f, b, _, _| (f.tags.kvp, b.tube_kvp) = (Some(74.0), f64::NAN), &["of the frame 74", "the scene renders 90"]),
         ("kVp", |_, b, _, _| b.tube_kvp = 0.0, &["0 kVp while the beam is on", "the frame 90", "send NaN"]),

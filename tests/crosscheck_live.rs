@@ -205,6 +205,24 @@ fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
     assert!(report.contains("class=\"badge caution\">accepted, image disagrees") && !report.contains("badge good"));
 }
 
+/// It was said, and used all the same: a focal length of two pixels, no beads of such a size, and the word to open the collimator.
+#[test]
+fn a_distance_in_metres_is_said_and_the_calibration_s_is_used_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, _, words) = live(folder.path(), &["--odd", "sid-in-metres"], take_ct_away);
+    let by_beads = pairs.iter().filter(|pair| pair["pose_source"] == "beads" && pair["k_source"] == "carm");
+    assert!(by_beads.count() >= 2 && !words.contains("too_few_shadows"), "{pairs:#?} {words}");
+    assert!(words.contains("metres taken for millimetres?; the calibration's 1020 mm are used"), "{words}");
+    let told = pairs.iter().filter(|pair| pair["binding"] != "none");
+    assert!(told.clone().count() >= 2, "{words}");
+    for pair in told {
+        assert!(pair["flags"].to_string().contains("the calibration's 1020 mm are used"), "{pair:#}");
+    }
+}
+
 /// A detector 22 mm farther away than the frame's own tag says: the beads fit as well, 14 mm deeper. (From 3 % on they tell by themselves.)
 #[test]
 fn a_detector_that_the_frame_puts_elsewhere_is_amber_in_a_live_session() {

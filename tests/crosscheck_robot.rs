@@ -139,7 +139,7 @@ fn a_beam_that_the_scene_does_not_have_is_named_before_the_first_exposure() {
         (|s| s.filter_mm_al = -1.5, &["filter", "-1.50 mm of aluminium", "expected 0 to 30"]),
         (|s| s.tube_kvp = 0.0, &["kVp", "0.00 kVp", "expected 20 to 160", "as NaN"]),
         (|s| s.joints.source_to_detector_mm = 980.0, &["SID", "980 mm", "the calibration 1020 mm", "telemetry's is used"]),
-        (|s| s.joints.source_to_detector_mm = 1.02, &["SID", "metres"]),
+        (|s| s.joints.source_to_detector_mm = 1.02, &["SID", "metres", "the calibration's 1020 mm are used"]),
     ];
     for (change, words) in cases {
         let mut heard = Listened::default();

@@ -9,7 +9,7 @@ use sidecarm::image::Image;
 use sidecarm::pose::{Pose, Refusal};
 use sidecarm::report::{
     BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track,
-    TruthError, counted, png_bytes, report_page, restated, strip, write_session,
+    TruthError, counted, counted_of, png_bytes, report_page, restated, strip, write_session,
 };
 use sidecarm::timeline::NO_EXPOSURE;
 
@@ -29,6 +29,21 @@ fn a_frame_without_beads_to_look_for_was_not_tried_whatever_telemetry_tells() {
     let pairs = [pair(PairStatus::NoPose), pair(PairStatus::NoPose), pair(PairStatus::Refused)];
     assert_eq!(counted(&pairs), "3 frames, 0 accepted, 1 refused, 2 not registered");
     assert_eq!(pairs[0].standing(), Standing::Telemetry, "its pose is telemetry's");
+}
+
+/// Three exposures of which two were exported again were five exposures, five of them accepted; of a session that was left at once, what the
+/// log held was not counted.
+#[test]
+fn copies_and_what_is_not_finished_are_counted_apart() {
+    let pair = |copy_of| Pair { status: PairStatus::Accepted, copy_of, ..Pair::unmatched("a", "") };
+    let pairs = vec![pair(None), pair(None), pair(None), pair(Some(2)), pair(Some(3))];
+    assert_eq!(counted(&pairs), "5 frames, 3 accepted, 2 copies");
+    assert_eq!(counted(&pairs[..4]), "4 frames, 3 accepted, 1 copy");
+    let counts = SessionReport { pairs: pairs.clone(), ..SessionReport::default() }.counts();
+    assert_eq!([counts.exposures, counts.accepted, counts.copies], [3, 3, 2]);
+    assert_eq!(counted_of(&[], 3, 3), "3 frames, 0 accepted, 3 not finished");
+    assert_eq!(counted_of(&pairs[..3], 3, 2), "3 frames, 3 accepted, 2 not finished");
+    assert_eq!(counted_of(&pairs, 6, 1), "6 frames, 3 accepted, 1 not finished, 2 copies");
 }
 
 /// A pair with its strip; `turn_deg` off the truth when refused.

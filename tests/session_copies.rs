@@ -246,6 +246,14 @@ fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
     assert!(copies.iter().all(|copy| copy_of(copy).is_some_and(|of| numbers.contains(&of))), "{numbers:?} {copies:#?}");
     let first = copies.iter().filter(|copy| copy_of(copy) > copy["number"].as_u64());
     assert!(first.count() == FRAMES, "{copies:#?}");
+    // Copies count as such, and as nothing else.
+    assert!(copies.iter().all(|copy| copy["copy_of"].as_u64() == copy_of(copy)), "{copies:#?}");
+    assert!(frames.iter().all(|frame| frame["copy_of"].is_null()), "{frames:#?}");
+    let (words, report) = (live.stdout(), live.report());
+    let told =
+        words.starts_with(&format!("{} frames, ", 2 * FRAMES + 1)) && words.contains(&format!(", {} copies: ", FRAMES + 1));
+    assert!(told && report.contains(&format!(">{FRAMES}</b><span>exposures</span>")), "{words}");
+    assert!(report.contains(&format!(">{}</b><span>copies</span>", FRAMES + 1)), "{words}");
     let again = replay_words(&live.log, &lab.kit.with_file_name("again"));
     assert_eq!(again.matches(", 0 different").count(), 3, "poses, images and scores: {again}");
 }

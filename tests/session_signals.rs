@@ -169,6 +169,11 @@ fn a_second_interrupt_leaves_at_once_and_nothing_recorded_is_lost() {
     println!("the session began to end {acted_ms:.0} ms after Ctrl-C");
     assert!(acted_ms <= HEARD_MS, "the session began to end {acted_ms:.0} ms after Ctrl-C, {HEARD_MS} allowed: {words}");
     assert!(matches!(status.and_then(|status| status.code()), Some(3)), "what was not finished is said: {status:?} {words}");
+    // The summary counts what the log holds, and how much of it is not finished, as the loss does.
+    let summary = live.stdout();
+    let lost = summary.split("left at once: ").nth(1).and_then(|lost| lost.split(' ').next()).expect("the loss");
+    let first = summary.lines().next().unwrap_or_default();
+    assert!(first.starts_with("40 frames, ") && first.contains(&format!(", {lost} not finished")), "{summary}");
     let missing = heard.missing(&lab.sent(), live.recording_us, first_us);
     println!("{} images in the log; telemetry {missing:?}", heard.images);
     assert_eq!(missing.lost, 0, "{missing:?}");

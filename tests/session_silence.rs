@@ -1,5 +1,7 @@
 //! Devices that can no longer be heard, through `live`: what has cost frames their telemetry is a loss, and is said while it happens.
 
+use serde_json::Value;
+
 use crate::live_lab::{HANG_S, Lab, Live};
 use crate::log_lab::replay;
 
@@ -17,10 +19,11 @@ fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
 fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
     let (unheard, without) = ("nothing to be used from the C-arm for 3 s", "frames that came meanwhile have no telemetry of it");
     // What is played, what is said while it happens, what the report says was lost.
-    let cases: [(&str, &[&str], Option<&str>); 7] = [
+    let cases: [(&str, &[&str], Option<&str>); 8] = [
         ("carm:mute@0.3", &[unheard], Some(without)),
         ("carm:gone@0.3", &[unheard], Some(without)),
         ("carm:freeze@0.3", &["the C-arm's clock stands still"], Some("C-arm: its clock stood still for")),
+        ("carm:stuck@0.3", &["the C-arm's clock stands still"], Some("C-arm: its clock stood still for")),
         (
             "carm:millis@0",
             &["the C-arm's clock advances", "where 1 s passes", "does it send milliseconds?"],
@@ -58,6 +61,31 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
             }
         })
     });
+}
+
+/// Frames that counted on while all that the arm measured was frozen were asked to be pictures of another day or another room.
+#[test]
+fn an_arm_whose_counter_stands_still_while_frames_count_on_is_asked_after() {
+    // Between the third exposure and the fourth.
+    let faults = "carm:stale@0.34";
+    let lab = ["--duration-s", "12", "--faults", faults, "--exposures", "6", "--await-all", "--linger-s", "8"];
+    let Some(lab) = Lab::start_without_ct(&lab) else { return };
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "15"]);
+    let code = live.program.end(HANG_S).expect("it ends").code();
+    let words = format!("exit code {code:?}\n{}\n{}", live.stdout(), live.stderr());
+    let stood = "count on where the C-arm's counter has stood still at 3";
+    assert!(live.stderr().contains(&format!("2 frames {stood}")), "while it happens: {words}");
+    assert!(live.stdout().contains(&format!("3 frames {stood}")), "in the end: {words}");
+    assert!(!words.contains("another day or another room"), "{words}");
+    let pairs: Value = serde_json::from_slice(&std::fs::read(live.out.join("pairs.json")).expect("pairs")).expect("JSON");
+    let pairs = pairs["pairs"].as_array().expect("a list");
+    assert_eq!(pairs.len(), 6, "{words}");
+    for (pair, counter) in pairs.iter().zip(1..) {
+        let said =
+            pair["flags"].to_string().contains(&format!("the frame counts {counter}, and the C-arm's counter stood still at 3"));
+        assert_eq!((said, pair["binding"] == "none"), (counter > 3, counter > 3), "{pair:#} {words}");
+    }
 }
 
 /// Another C-arm behind the port was a warning: the session ended with 0, and its report said that nothing was lost.

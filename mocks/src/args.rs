@@ -65,7 +65,7 @@ pub struct Args {
     pub exposures: usize,
     /// `default`, `none`, or a list of KIND (those of the script), DEVICE:KIND or DEVICE:KIND@SHARE of the session.
     ///
-    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, away (unplugged, and by the device for an hour), mute (silent for good), gone (unplugged for good), freeze (its clock), restart (its clock and its numbers begin anew), jump (its clock, by 5 s), ahead and back (its clock, by an hour), millis (its clock counts milliseconds), other (another device goes on in its place); devices: carm, robot.
+    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, away (unplugged, and by the device for an hour), mute (silent for good), gone (unplugged for good), freeze (its clock), stuck (its clock, but for what it says of itself), stale (all that it measures), restart (its clock and its numbers begin anew), jump (its clock, by 5 s), ahead and back (its clock, by an hour), millis (its clock counts milliseconds), other (another device goes on in its place); devices: carm, robot.
     #[arg(long, default_value = "default", value_name = "LIST")]
     pub faults: String,
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
@@ -89,7 +89,7 @@ pub struct Args {
     /// Lines that carry random bytes instead of packets: carm, robot or both.
     #[arg(long, value_delimiter = ',', value_parser = device)]
     pub garbage: Vec<Device>,
-    /// What the devices say oddly in packets that are well formed: carm-stopped, copper, robot-homing, tracked, tracked-at-first,
+    /// What the devices say oddly in packets that are well formed: carm-stopped, copper, sid-in-metres, robot-homing, tracked, tracked-at-first,
     /// sensed-at-first, apart, swaying.
     #[arg(long, value_delimiter = ',', value_parser = oddity)]
     pub odd: Vec<Oddity>,

@@ -23,7 +23,7 @@ use crate::MockError;
 use crate::pty::Line;
 
 /// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`, `Away`), or for good (`Mute`, `Gone`,
-/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Other`).
+/// `Freeze`, `Stuck`, `Stale`, `Restart`, `Jump`, `Ahead`, `Back`, `Millis`, `Other`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -49,6 +49,10 @@ pub enum FaultKind {
     Gone,
     /// The device's clock stands still; packets go on.
     Freeze,
+    /// All that the device measures has the same time for ever; what it says of itself has the right one.
+    Stuck,
+    /// All that the device measures stays what it was, but for noise; its clock and its numbers go on.
+    Stale,
     /// The device begins anew: its clock and the numbers of its packets start at zero.
     Restart,
     /// The device's clock is set 5 s ahead; the numbers of its packets go on.
@@ -65,7 +69,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 19] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -77,6 +81,8 @@ impl FaultKind {
         Self::Mute,
         Self::Gone,
         Self::Freeze,
+        Self::Stuck,
+        Self::Stale,
         Self::Restart,
         Self::Jump,
         Self::Ahead,
@@ -100,6 +106,8 @@ impl FaultKind {
             Self::Mute => "mute",
             Self::Gone => "gone",
             Self::Freeze => "freeze",
+            Self::Stuck => "stuck",
+            Self::Stale => "stale",
             Self::Restart => "restart",
             Self::Jump => "jump",
             Self::Ahead => "ahead",
@@ -198,6 +206,8 @@ impl Channel {
             None
             | Some(
                 FaultKind::Freeze
+                | FaultKind::Stuck
+                | FaultKind::Stale
                 | FaultKind::Restart
                 | FaultKind::Jump
                 | FaultKind::Ahead

@@ -9,6 +9,8 @@ pub enum Oddity {
     CarmStopped,
     /// The arm reports 0.3 mm of copper in the beam.
     Copper,
+    /// The arm tells the distance from focal spot to detector in metres.
+    SidInMetres,
     /// The robot reports that it is homing.
     RobotHoming,
     /// The robot's base is tracked.
@@ -35,9 +37,10 @@ const SWAY_DEG: f64 = 4.0;
 
 impl Oddity {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::CarmStopped,
         Self::Copper,
+        Self::SidInMetres,
         Self::RobotHoming,
         Self::Tracked,
         Self::TrackedAtFirst,
@@ -52,6 +55,7 @@ impl Oddity {
         match self {
             Self::CarmStopped => "carm-stopped",
             Self::Copper => "copper",
+            Self::SidInMetres => "sid-in-metres",
             Self::RobotHoming => "robot-homing",
             Self::Tracked => "tracked",
             Self::TrackedAtFirst => "tracked-at-first",
@@ -66,6 +70,7 @@ impl Oddity {
         match self {
             Self::CarmStopped => message.status |= 0b10_0010,
             Self::Copper => message.filter_mm[1] = 0.3,
+            Self::SidInMetres => message.joints[6] *= 1e-3,
             _ => {}
         }
     }

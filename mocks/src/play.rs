@@ -113,6 +113,8 @@ pub fn play(
             if let Some(sender) = senders.iter_mut().find(|sender| sender.device == fault.device) {
                 match fault.kind {
                     FaultKind::Freeze => sender.frozen_s = Some(now_s),
+                    FaultKind::Stuck => sender.stuck_s = Some(now_s),
+                    FaultKind::Stale => sender.stale_s = Some(now_s),
                     FaultKind::Restart => (sender.began_s, sender.epoch_us, sender.sequence) = (now_s, 0, 0),
                     FaultKind::Jump => sender.epoch_us += JUMP_US,
                     FaultKind::Ahead => sender.epoch_us += HOUR_US,
@@ -208,6 +210,10 @@ struct Sender {
     oddities: Vec<Oddity>,
     /// When the clock stopped.
     frozen_s: Option<f64>,
+    /// Of which moment all that it measures is said to be.
+    stuck_s: Option<f64>,
+    /// Of which moment it is.
+    stale_s: Option<f64>,
     /// When it was switched on.
     began_s: f64,
     /// Seconds that its clock advances in one, but for `ppm`.
@@ -276,6 +282,8 @@ impl Sender {
             dialect,
             oddities: performance.oddities.clone(),
             frozen_s: None,
+            stuck_s: None,
+            stale_s: None,
             began_s: 0.0,
             clock_rate: 1.0,
             is_other: false,
@@ -357,15 +365,16 @@ impl Sender {
                     self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
                 }
             }
-            let stamp = self.stamp(at_s);
+            let stamp = self.stamp(self.stuck_s.map_or(at_s, |stuck_s| at_s.min(stuck_s)));
+            let measured_s = self.stale_s.map_or(at_s, |stale_s| at_s.min(stale_s));
             let packet = match self.device {
                 Device::Carm => {
-                    let mut message = script.carm(at_s, &mut self.random);
+                    let mut message = script.carm(measured_s, &mut self.random);
                     self.oddities.iter().for_each(|oddity| oddity.befall_carm(&mut message));
                     self.dialect.map_or_else(|| encode_carm(stamp, &message), |dialect| dialect.carm(stamp, &message))
                 }
                 Device::Robot => {
-                    let mut message = script.robot(at_s, &mut self.random);
+                    let mut message = script.robot(measured_s, &mut self.random);
                     let share = at_s / script.duration_s;
                     self.oddities.iter().for_each(|oddity| oddity.befall_robot(at_s, share, &mut message));
                     self.dialect.map_or_else(|| encode_robot(stamp, &message), |dialect| dialect.robot(stamp, &message))

@@ -133,7 +133,7 @@ fn leave_now(reporter: &Reporter) -> ! {
 fn summary(folder: &Folder, reporter: &Reporter) {
     let report = folder.path.join("report.html");
     let place = if report.is_file() { report.display().to_string() } else { "no report could be written".to_owned() };
-    to_stdout(&format!("{}: {place}", crate::report::counted(&folder.pairs)));
+    to_stdout(&format!("{}: {place}", crate::report::counted_of(&folder.pairs, folder.frames, folder.unfinished)));
     for (kind, counted) in reporter.warnings() {
         to_stdout(&format!("{} x {kind}: {}", counted.count, counted.latest));
     }

@@ -33,6 +33,19 @@ impl CarmJoints {
         source_to_detector_mm: f64::NAN,
     };
 
+    /// Focal spot to detector of C-arms, least and largest. What lies beyond is in another unit, or was never measured.
+    pub const SOURCE_TO_DETECTOR_MM: (f64, f64) = (300.0, 2500.0);
+
+    /// The same, with a distance that no C-arm has as one that is not measured.
+    #[must_use]
+    pub fn with_plausible_distance(self) -> Self {
+        let (least_mm, largest_mm) = Self::SOURCE_TO_DETECTOR_MM;
+        if self.source_to_detector_mm >= least_mm && self.source_to_detector_mm <= largest_mm {
+            return self;
+        }
+        Self { source_to_detector_mm: f64::NAN, ..self }
+    }
+
     /// In the order lift, wig-wag, longitudinal, angulation, orbital, detector rotation, source to detector.
     #[must_use]
     pub fn to_array(self) -> [f64; 7] {
@@ -104,6 +117,17 @@ impl<'de> Deserialize<'de> for CarmJoints {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_distance_that_no_arm_has_is_not_measured() {
+        for (told_mm, taken_mm) in [(1020.0, Some(1020.0)), (300.0, Some(300.0)), (1.02, None), (102.0, None), (1e6, None)] {
+            let told = CarmJoints { source_to_detector_mm: told_mm, lift_mm: 1.02, ..CarmJoints::ZERO };
+            let taken = told.with_plausible_distance();
+            assert_eq!(Some(taken.source_to_detector_mm).filter(|mm| mm.is_finite()), taken_mm, "{told_mm}");
+            assert!((taken.lift_mm - told.lift_mm).abs() < 1e-12, "nothing else changes");
+        }
+        assert!(CarmJoints::ZERO.with_plausible_distance().source_to_detector_mm.is_nan());
+    }
 
     #[test]
     fn unknown_joints_are_errors() {

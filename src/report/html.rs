@@ -85,7 +85,8 @@ fn summary(report: &SessionReport, title: &str) -> Markup {
         (counts.telemetry_disagrees, "accepted, telemetry disagrees"),
         (counts.in_doubt, "accepted, in doubt"),
     ];
-    let robot_words: Vec<&str> = report.pairs.iter().filter_map(Pair::robot_words).collect();
+    let own = report.pairs.iter().filter(|pair| pair.copy_of.is_none());
+    let robot_words: Vec<&str> = own.filter_map(Pair::robot_words).collect();
     html! {
         h1 { (title) }
         p class="dim" {
@@ -94,6 +95,9 @@ fn summary(report: &SessionReport, title: &str) -> Markup {
         }
         div class="cards" {
             (count("", counts.exposures, "exposures"))
+            @if counts.copies > 0 {
+                (count("", counts.copies, if counts.copies == 1 { "copy" } else { "copies" }))
+            }
             (count("good", counts.accepted, "accepted"))
             @for (number, words) in doubts.into_iter().filter(|(number, _)| *number > 0) {
                 (count("caution", number, words))

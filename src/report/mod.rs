@@ -32,7 +32,7 @@ pub use k_source::KSource;
 pub use marks::{BeadMark, LandmarkMark, PairMarks, RobotMark, ShadowMark};
 pub use overlay::overlay;
 pub use pair::{Heading, Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
-pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
+pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted, counted_of};
 pub use shut_off::{calm, dimmed};
 pub use signed_difference::{NOT_COMPARABLE, SignedDifference};
 pub use strip::{StripInput, restated, strip};

@@ -186,6 +186,9 @@ pub struct Pair {
     /// What the binding rests on.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub binding_evidence: Vec<String>,
+    /// The frame of which this is the picture, exported again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub copy_of: Option<u32>,
     /// Which pose was rendered.
     pub pose_source: PoseSource,
     /// What became of the registration.
@@ -282,6 +285,7 @@ impl Pair {
             time_us: None,
             binding: "none".into(),
             binding_evidence: Vec::new(),
+            copy_of: None,
             pose_source: PoseSource::None,
             status: PairStatus::NoPose,
             reason: Some(reason.to_owned()),

@@ -87,8 +87,11 @@ pub struct SessionReport {
 /// How many exposures came out how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Counts {
-    /// All.
+    /// All but the copies.
     pub exposures: usize,
+    /// Pictures that were exported again; they stand in no other count.
+    #[serde(default)]
+    pub copies: usize,
     /// P from beads, and the image agrees or cannot tell.
     pub accepted: usize,
     /// P from beads, but the image prefers another pose.
@@ -118,26 +121,36 @@ impl SessionReport {
     /// Counts by status.
     #[must_use]
     pub fn counts(&self) -> Counts {
-        let with = |status: PairStatus| self.pairs.iter().filter(|pair| pair.status == status).count();
+        let own = || self.pairs.iter().filter(|pair| pair.copy_of.is_none());
+        let with = |status: PairStatus| own().filter(|pair| pair.status == status).count();
+        let exposures = own().count();
         Counts {
-            exposures: self.pairs.len(),
+            exposures,
+            copies: self.pairs.len() - exposures,
             accepted: with(PairStatus::Accepted),
             image_disagrees: with(PairStatus::AcceptedImageDisagrees),
             telemetry_disagrees: with(PairStatus::AcceptedTelemetryDisagrees),
             in_doubt: with(PairStatus::AcceptedInDoubt),
             refused: with(PairStatus::Refused),
             no_pose: with(PairStatus::NoPose),
-            from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
+            from_telemetry: own().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
         }
     }
 }
 
-/// `7 frames, 5 accepted, 1 accepted but the image disagrees`: what a session came to, in a line for the terminal.
+/// `9 frames, 5 accepted, 1 accepted but the image disagrees, 1 refused, 2 copies`: what a session came to, in a line for the terminal. Copies
+/// stand in no other count but that of the frames.
 #[must_use]
 pub fn counted(pairs: &[Pair]) -> String {
-    let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| keep(pair)).count();
+    counted_of(pairs, pairs.len(), 0)
+}
+
+/// The same of a session that recorded so many `frames`, and left `unfinished` of them without a pair, or with one that is not complete.
+#[must_use]
+pub fn counted_of(pairs: &[Pair], frames: usize, unfinished: usize) -> String {
+    let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| pair.copy_of.is_none() && keep(pair)).count();
     let accepted = count(&|pair| pair.status == PairStatus::Accepted);
-    let mut words = format!("{} frames, {accepted} accepted", pairs.len());
+    let mut words = format!("{} frames, {accepted} accepted", frames.max(pairs.len()));
     for (status, what) in [
         (PairStatus::AcceptedImageDisagrees, "but the image disagrees"),
         (PairStatus::AcceptedTelemetryDisagrees, "but telemetry disagrees"),
@@ -157,6 +170,14 @@ pub fn counted(pairs: &[Pair]) -> String {
     let as_in_scene = count(&|pair| pair.robot_words().is_some());
     if as_in_scene > 0 {
         words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry of their exposures)");
+    }
+    if unfinished > 0 {
+        words += &format!(", {unfinished} not finished");
+    }
+    match pairs.iter().filter(|pair| pair.copy_of.is_some()).count() {
+        0 => {}
+        1 => words += ", 1 copy",
+        copies => words += &format!(", {copies} copies"),
     }
     words
 }

@@ -7,7 +7,7 @@ use crate::acquire::Frame;
 use crate::geometry::CarmJoints;
 use crate::image::Image;
 use crate::telemetry::{CarmSample, DeviceKind};
-use crate::timeline::{Binding, Gap, Support, Timeline};
+use crate::timeline::{Binding, BindingFlag, Gap, Support, Timeline};
 
 /// A frame with what telemetry says about it, fixed when it was bound.
 #[derive(Clone, Debug)]
@@ -19,6 +19,14 @@ pub struct Bound {
     pub(super) carm_gap_us: Option<i64>,
     pub(super) robot: Option<BoundRobot>,
     pub(super) beam: Option<Box<CarmSample>>,
+}
+
+/// The frame of which this one is a copy, by what it is bound to.
+pub(super) fn copy_of(binding: &Binding) -> Option<u32> {
+    binding.flags.iter().find_map(|flag| match flag {
+        BindingFlag::Duplicate { of } => Some(*of),
+        _ => None,
+    })
 }
 
 impl Bound {
@@ -42,7 +50,7 @@ impl Bound {
         Self {
             frame,
             time_us: mid_us.unwrap_or(arrival_us),
-            joints: joints.as_ref().map(|answer| answer.value),
+            joints: joints.as_ref().map(|answer| answer.value.with_plausible_distance()),
             carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
             beam: mid_us
                 .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))

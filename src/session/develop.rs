@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::bound::copy_of;
 use super::crosscheck::{ExposureFacts, check_exposure, innovation};
 use super::declared::Declared;
 use super::developed::{Developed, UNCHECKED, draw};
@@ -387,6 +388,7 @@ fn row(posed: &Posed) -> Pair {
     pair.time_us = Some(posed.time_us);
     pair.binding = how(&posed.binding).to_owned();
     pair.binding_evidence = posed.binding.evidence.clone();
+    pair.copy_of = copy_of(&posed.binding);
     pair.pose_source = posed.pose_source;
     pair.status = PairStatus::of(&posed.pose, posed.pose_source);
     if let Some(doubt) = &posed.pose.doubt {

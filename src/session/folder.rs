@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::SessionError;
+use super::bound::copy_of;
 use super::developed::Developed;
 use super::engine::Engine;
 use super::fault;
@@ -33,6 +34,10 @@ pub struct Folder {
     pub views: BTreeMap<u32, crate::geometry::View>,
     /// What was lost.
     pub losses: Vec<String>,
+    /// How many frames were recorded.
+    pub frames: usize,
+    /// How many of them have no pair, or one that is not complete.
+    pub unfinished: usize,
     /// What the report says besides the pairs; `None` where none was written.
     pub report: Option<Box<SessionReport>>,
 }
@@ -329,9 +334,15 @@ impl Collector {
             // More was known at the end than when it was developed.
             if let Some(binding) = engine.why_unbound(*number) {
                 pair.binding_evidence.clone_from(&binding.evidence);
+                pair.copy_of = copy_of(binding);
                 let flags = binding.flags.iter().map(ToString::to_string);
                 let new: Vec<String> = flags.filter(|flag| !pair.flags.contains(flag)).collect();
                 pair.flags.extend(new);
+            }
+        }
+        for (number, words) in engine.words_of_those_that_count_on() {
+            if let Some(pair) = self.rows.get_mut(&number) {
+                pair.flags.push(words);
             }
         }
         self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();
@@ -349,7 +360,9 @@ impl Collector {
         // What is said of them now holds a path again.
         self.hide_names();
         let (pairs, losses) = (std::mem::take(&mut self.report.pairs), self.report.losses.clone());
-        Folder { path: self.path, log, pairs, views: self.views, losses, report: Some(Box::new(self.report)) }
+        let (frames, unfinished) = (pairs.len(), 0);
+        let report = Some(Box::new(self.report));
+        Folder { path: self.path, log, pairs, views: self.views, losses, frames, unfinished, report }
     }
 }
 

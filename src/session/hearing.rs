@@ -87,6 +87,10 @@ impl Hearing {
         let line = self.lines.get_mut(&device)?;
         line.silences.extend(line.silence_until(host_us));
         (line.last_us, line.ever, line.told) = (Some(host_us), true, false);
+        // What a device says of itself may be stamped anew while all that it measures has the same time for ever.
+        if matches!(sample, Sample::Metadata(_)) {
+            return None;
+        }
         let device_us = sample.device_us();
         let since_us = match line.clock {
             Some((shown_us, since_us)) if shown_us == device_us => since_us,
@@ -185,13 +189,16 @@ impl Hearing {
         of_frame.is_some_and(|(at_us, _)| fell_into(&silences(), *at_us))
     }
 
-    /// What silence and clocks have cost, a sentence each. A device that is switched off after the last frame has cost nothing.
-    pub(super) fn losses(&self, end_us: i64) -> Vec<String> {
+    /// What silence and clocks have cost, a sentence each. A device that is switched off after the last frame has cost nothing, and nothing is
+    /// lost with a frame that is no exposure of its own (`stands_for_another`: a copy, a picture that was taken back).
+    pub(super) fn losses(&self, end_us: i64, stands_for_another: impl Fn(u32) -> bool) -> Vec<String> {
         let mut words = Vec::new();
         for (device, line) in &self.lines {
             let silences = line.silences_until(end_us);
-            let lacks = |(at_us, unknown): &&(i64, Vec<DeviceKind>)| unknown.contains(device) && fell_into(&silences, *at_us);
-            let without = self.frames.values().filter(lacks).count();
+            let lacks = |(number, (at_us, unknown)): &(&u32, &(i64, Vec<DeviceKind>))| {
+                unknown.contains(device) && fell_into(&silences, *at_us) && !stands_for_another(**number)
+            };
+            let without = self.frames.iter().filter(lacks).count();
             let silent_s = silences.iter().map(|s| s.end_us.saturating_sub(s.start_us)).sum::<i64>() as f64 * 1e-6;
             match (line.ever, without) {
                 (false, _) if !silences.is_empty() => words.push(format!("{device}: not one packet in {silent_s:.0} s")),
@@ -233,13 +240,48 @@ mod tests {
     use super::*;
     use crate::acquire::{Domain, Frame};
     use crate::image::Image;
+    use crate::telemetry::{CarmSample, Metadata};
     use crate::timeline::{Binding, Timeline};
+
+    /// A C-arm whose measurements had the time of the first for ever was not said, because its metadata had another one each second.
+    #[test]
+    fn a_clock_that_stands_still_is_said_whatever_time_the_metadata_have() {
+        let of_arm = |sequence, device_us| Sample::Carm(CarmSample { device_us, sequence, ..CarmSample::UNTOLD });
+        let of_itself = |sequence, device_us| {
+            let text = String::new;
+            Sample::Metadata(Metadata {
+                device_us,
+                sequence,
+                device: DeviceKind::Carm,
+                schema: 0,
+                serial_number: text(),
+                firmware: text(),
+                calibration_id: text(),
+                units: text(),
+                limits: Vec::new(),
+            })
+        };
+        let played = |arm_us: fn(u64) -> u64, itself_us: fn(u64) -> u64| {
+            let mut hearing = Hearing::new([DeviceKind::Carm]);
+            let mut said = Vec::new();
+            for n in 0..150_u32 {
+                let at_us = 40_000 * u64::from(n);
+                let sample = if n % 25 == 0 { of_itself(n, itself_us(at_us)) } else { of_arm(n, arm_us(at_us)) };
+                said.extend(hearing.sample(DeviceKind::Carm, at_us as i64, &sample));
+            }
+            (said.len(), hearing.losses(6_000_000, |_| false).len())
+        };
+        assert_eq!(played(|_| 7, |at_us| at_us), (1, 1));
+        assert_eq!(played(|_| 7, |_| 7), (1, 1));
+        assert_eq!(played(|at_us| at_us, |_| 7), (0, 0), "what it says of itself has no time that counts");
+        assert_eq!(played(|at_us| at_us, |at_us| at_us), (0, 0));
+    }
 
     #[test]
     fn a_clock_of_another_rate_is_said_once_with_its_unit_and_is_a_loss() {
         let mut hearing = Hearing::new(DeviceKind::ALL);
         assert_eq!(hearing.rate(DeviceKind::Carm, None), None);
-        assert!(hearing.losses(1_000_000).is_empty());
+        assert!(hearing.losses(1_000_000, |_| false).is_empty());
         let words = hearing.rate(DeviceKind::Carm, Some(0.001_000_1)).expect("said");
         assert!(words.contains("the C-arm's clock advances 1.000 ms where 1 s passes"), "{words}");
         assert!(words.contains("does it send milliseconds?") && words.contains("`device_time`"), "{words}");
@@ -248,7 +290,7 @@ mod tests {
         assert!(words.contains("the robot's clock advances 1.060 s where 1 s passes") && words.contains("it is fast"), "{words}");
         assert!(!words.contains("does it send"), "no unit is so near");
         assert_eq!(
-            hearing.losses(1_000_000),
+            hearing.losses(1_000_000, |_| false),
             [
                 "C-arm: its clock advanced 1.000 ms where 1 s passed; what it said meanwhile has no time to rely on",
                 "robot: its clock advanced 1.060 s where 1 s passed; what it said meanwhile has no time to rely on",
@@ -272,6 +314,25 @@ mod tests {
         assert!(!unheard(1, DeviceKind::Carm, 2_000_000), "two seconds are no silence");
         assert!(!unheard(2, DeviceKind::Carm, 10_000_000), "long after it");
         assert!(!unheard(1, DeviceKind::Robot, 10_000_000) && !unheard(3, DeviceKind::Carm, 10_000_000));
-        assert_eq!(hearing.losses(10_000_000), ["C-arm: not one packet in 10 s"]);
+        assert_eq!(hearing.losses(10_000_000, |_| false), ["C-arm: not one packet in 10 s"]);
+    }
+
+    /// An arm that was switched off after the last exposure had cost the copies that were exported then their telemetry, and the session its
+    /// exit code.
+    #[test]
+    fn a_copy_that_came_while_nothing_was_heard_has_lost_nothing() {
+        let pixels = Image::from_pixels(2, 2, vec![1.0, 2.0, 3.0, 4.0]).expect("size");
+        let frame = Arc::new(Frame::from_pixels("frame", pixels, Domain::Linear).expect("finite"));
+        let mut hearing = Hearing::new([DeviceKind::Carm]);
+        hearing.advance(0);
+        assert_eq!(hearing.sample(DeviceKind::Carm, 0, &Sample::Carm(CarmSample::UNTOLD)), None);
+        for number in [1, 2] {
+            let bound = Bound::new(Arc::clone(&frame), 5_000_000, Binding::default(), &Timeline::new());
+            hearing.bound(number, 5_000_000, &bound);
+        }
+        let without = |copies: &[u32]| hearing.losses(9_000_000, |number| copies.contains(&number));
+        let of = |count: u32| format!("C-arm: silent for 9 s in all; {count} frames that came meanwhile have no telemetry of it");
+        assert_eq!((without(&[]), without(&[2])), (vec![of(2)], vec![of(1)]));
+        assert!(without(&[1, 2]).is_empty());
     }
 }

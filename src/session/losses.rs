@@ -110,13 +110,15 @@ pub(super) struct Untied {
     pub(super) second: usize,
     /// They came while nothing was heard of the C-arm.
     pub(super) unheard: usize,
+    /// They count on where the C-arm's counter stood still, which is said apart.
+    pub(super) counted_on: usize,
     /// Nothing that telemetry tells of fits.
     pub(super) other: usize,
 }
 
 impl Untied {
     pub(super) fn all(self) -> usize {
-        self.second + self.unheard + self.other
+        self.second + self.unheard + self.counted_on + self.other
     }
 }
 
@@ -127,7 +129,7 @@ pub(super) fn all_shown(exposures: &[ExposureInterval], shown: &BTreeSet<u64>) -
 
 /// That frames are bound to none of the exposures that telemetry tells of, where each of those has its frame (`all_shown`).
 pub(super) fn of_no_exposure(all_shown: bool, untied: Untied) -> Option<String> {
-    let Untied { second, unheard, other } = untied;
+    let Untied { second, unheard, other, .. } = untied;
     let parts = [
         (second, "are second pictures of exposures that have their frame (processed ones beside raw ones?)"),
         (unheard, "came while nothing was heard of the C-arm: of which exposures they are is not known"),
@@ -240,9 +242,12 @@ mod tests {
             &["another day", "heard"],
         );
         says(Untied { unheard: 4, ..Untied::default() }, &["4 frames came while nothing was heard"], &["another day", "second"]);
-        let mixed = Untied { second: 3, unheard: 1, other: 2 };
+        let mixed = Untied { second: 3, unheard: 1, counted_on: 0, other: 2 };
         says(mixed, &["3 frames are second", "; 1 frames came while", "; 2 frames are of no exposure"], &[]);
         assert_eq!(mixed.all(), 6);
+        // What is said apart is not said to be of another day.
+        let counted_on = Untied { counted_on: 3, ..Untied::default() };
+        assert_eq!((of_no_exposure(true, counted_on), counted_on.all()), (None, 3));
         // Else they may be of the exposures that have none, which is said.
         assert_eq!([of_no_exposure(true, Untied::default()), of_no_exposure(false, mixed)], [None, None]);
     }

@@ -7,6 +7,7 @@ mod agreement;
 mod alignment;
 mod apart;
 mod arrival;
+mod beside;
 mod binder;
 mod clock;
 mod console;

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::field::check_field;
 use super::filter::check_filter;
 use super::finding::Finding;
-use super::units::{PITCH_SHARE, scene_kvp, sid};
+use super::units::{PITCH_SHARE, scene_kvp, told_sid};
 use crate::acquire::Frame;
 use crate::geometry::{CarmCalibration, Rigid};
 use crate::report::Innovation;
@@ -96,7 +96,7 @@ fn check_pitch(facts: &ExposureFacts) -> Option<Finding> {
 fn check_distance(facts: &ExposureFacts) -> Option<Finding> {
     const CHECK: &str = "SID";
     let told_mm = facts.beam.map(|beam| beam.joints.source_to_detector_mm).filter(|mm| mm.is_finite());
-    if let Some(wrong) = told_mm.and_then(|mm| sid(CHECK, "telemetry's source to detector", mm)) {
+    if let Some(wrong) = told_mm.and_then(|mm| told_sid(mm, facts.carm)) {
         return Some(wrong);
     }
     let offset_mm = facts.carm.map_or(0.0, |carm| carm.offsets.source_to_detector_mm);

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::exposure::{SID_TOLERANCE_MM, against_scene};
 use super::finding::{Finding, Level, tell};
 use super::robot_watch::RobotWatch;
-use super::units::sid;
+use super::units::told_sid;
 use crate::geometry::JOINT_KEYS;
 use crate::reporter::Reporter;
 use crate::scene::Scene;
@@ -72,7 +72,7 @@ pub fn check_line(
     }
     if let Some(sample) = sample {
         let distance_mm = sample.joints.source_to_detector_mm;
-        let implausible = distance_mm.is_finite().then(|| sid("SID", "telemetry's source to detector", distance_mm)).flatten();
+        let implausible = told_sid(distance_mm, setup.carm.as_ref());
         found.extend(implausible.or_else(|| check_distance(setup, distance_mm)));
         found.extend(check_panel(setup, sample));
         if let Some(scene) = scene.filter(|_| sample.tube_kvp > 0.0) {

@@ -8,8 +8,6 @@ use crate::geometry::{CarmCalibration, CarmJoints, Rigid};
 use crate::scene::Scene;
 use crate::session::file::Setup;
 
-/// Focal spot to detector of C-arms.
-const SID_MM: (f64, f64) = (300.0, 2500.0);
 /// Focal spot to isocentre.
 const SOD_MM: (f64, f64) = (150.0, 2000.0);
 /// Pixels of panels, binned ones included.
@@ -44,7 +42,17 @@ pub(super) fn length(check: &str, what: &str, value_mm: f64, range: (f64, f64)) 
 
 /// The arm's focal length in words, checked.
 pub(super) fn sid(check: &str, what: &str, value_mm: f64) -> Option<Finding> {
-    length(check, what, value_mm, SID_MM)
+    length(check, what, value_mm, CarmJoints::SOURCE_TO_DETECTOR_MM)
+}
+
+/// The distance that telemetry tells, where no arm has it: that counts as not measured ([`CarmJoints::with_plausible_distance`]).
+pub(super) fn told_sid(told_mm: f64, carm: Option<&CarmCalibration>) -> Option<Finding> {
+    let mut found = sid("SID", "telemetry's source to detector", told_mm).filter(|_| told_mm.is_finite())?;
+    found.detail += &match carm.and_then(|carm| carm.source_to_detector_mm) {
+        Some(mm) => format!("; the calibration's {mm} mm are used"),
+        None => "; it is not used".to_owned(),
+    };
+    Some(found)
 }
 
 /// Lengths and sizes of a C-arm's calibration.

@@ -2,6 +2,7 @@
 
 use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::Engine;
+use super::counted_on::is_no_exposure;
 use crate::telemetry::{DeviceKind, NO_EXPOSURES};
 use crate::timeline::BindingFlag;
 
@@ -14,7 +15,9 @@ impl Engine {
             let (device, count) = (track.device, track.no_time);
             format!("{device}: {count} packets whose device time is none, 285 years and more from that of the first")
         });
-        packets.chain(no_time).chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+        let stands_for_another =
+            |number| self.binder.binding(number).is_some_and(|binding| binding.flags.iter().any(is_no_exposure));
+        packets.chain(no_time).chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us), stands_for_another)).collect()
     }
 
     /// Whether frames are expected to give poses by beads or tags.
@@ -23,11 +26,12 @@ impl Engine {
         self.layout.is_some() || self.tags.is_some()
     }
 
-    /// Exposures without a frame and frames of no exposure, each with the kind of warning that it is.
+    /// Exposures without a frame, frames of no exposure, and frames that count on without the C-arm, each with the kind of warning that it is.
     pub fn unmatched(&self) -> impl Iterator<Item = (&'static str, String)> {
         let all = [
             ("exposures without a frame", self.exposures_without_frame()),
             ("frames of no exposure", self.frames_of_no_exposure()),
+            ("C-arm counter", self.frames_that_count_on()),
         ];
         all.into_iter().filter_map(|(kind, words)| Some((kind, words?)))
     }
@@ -58,18 +62,19 @@ impl Engine {
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
     fn untied(&self) -> Untied {
         let end_us = self.ended_us.unwrap_or(self.now_us);
-        let stands_for_another =
-            |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
+        let counted_on = self.counted_on().map(|counted_on| counted_on.frames).unwrap_or_default();
         let mut untied = Untied::default();
         for number in self.unbound.keys() {
             let binding = self.binder.binding(*number);
-            if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
+            if binding.is_some_and(|binding| binding.flags.iter().any(is_no_exposure)) {
                 continue;
             }
             if binding.is_some_and(|binding| binding.flags.iter().any(|flag| matches!(flag, BindingFlag::SecondPicture { .. }))) {
                 untied.second += 1;
             } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
                 untied.unheard += 1;
+            } else if counted_on.iter().any(|(frame, _)| frame == number) {
+                untied.counted_on += 1;
             } else {
                 untied.other += 1;
             }

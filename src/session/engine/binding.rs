@@ -41,10 +41,12 @@ impl Engine {
             (!waits).then_some((*number, binding))
         };
         let ready: Vec<(u32, Binding)> = self.pending.iter().filter_map(ready).collect();
+        let mut are_unbound = false;
         for (number, binding) in ready {
             let Some(Pending { frame, host_us }) = self.pending.remove(&number) else { continue };
             if binding.exposure.is_none() {
                 self.keep_unbound(number, &frame, host_us);
+                are_unbound = true;
             }
             let bound = Bound::new(frame, host_us, binding, &self.timeline);
             self.hearing.bound(number, host_us, &bound);
@@ -52,6 +54,13 @@ impl Engine {
             self.tied.extend(bound.exposure_index().map(|_| number));
             self.bound.insert(number, bound);
             sink(Output::Bound { number });
+        }
+        if are_unbound
+            && !self.told_of_counts
+            && let Some(words) = self.frames_that_count_on()
+        {
+            self.told_of_counts = true;
+            self.reporter.warn("C-arm counter", words);
         }
     }
 

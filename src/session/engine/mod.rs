@@ -7,6 +7,7 @@
 
 mod accounts;
 mod binding;
+mod counted_on;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -68,6 +69,10 @@ pub struct Engine {
     binder: Binder,
     pending: BTreeMap<u32, Pending>,
     unbound: BTreeMap<u32, Unbound>,
+    /// What each frame counts, and when it came.
+    counts: BTreeMap<u32, (u32, i64)>,
+    /// It was said that frames count on where the C-arm's counter stands still.
+    told_of_counts: bool,
     /// Frames without pixels.
     seen: BTreeSet<u32>,
     /// How often each frame that was posed again was handed on before.
@@ -124,6 +129,8 @@ impl Engine {
             binder: Binder::default(),
             pending: BTreeMap::new(),
             unbound: BTreeMap::new(),
+            counts: BTreeMap::new(),
+            told_of_counts: false,
             seen: BTreeSet::new(),
             developments: BTreeMap::new(),
             shown: BTreeSet::new(),
@@ -260,7 +267,9 @@ impl Engine {
         let image = frame.image_of_file.map(|n| n as u32);
         // The same picture in another file, with other identifiers and stamps, is no other exposure.
         let content = self.pictures.first_of(frame, picture);
+        self.counts.extend(frame.tags.exposure_counter.map(|counter| (frame.number, (counter, host_us))));
         let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
+        self.binder.note_study(frame.number, frame.tags.study.as_deref());
         self.binder.push(FrameEvidence { completes: frame.completes, ..self.zone.steady(&frame.tags, evidence) });
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, frame.number);

@@ -149,11 +149,13 @@ impl Session {
         if open > 0 {
             self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
         }
-        self.report(Some(LEAVE))
+        self.report(Some((LEAVE, open)))
     }
 
-    fn report(mut self, limit: Option<Duration>) -> Folder {
+    /// Of a session that is left at once (`left`): for how long the log is waited for, and how many frames are not finished.
+    fn report(mut self, left: Option<(Duration, usize)>) -> Folder {
         self.finishing = None;
+        let (frames, limit) = (self.frames(), left.map(|(limit, _)| limit));
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
         self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
         for (kind, words) in self.engine.unmatched() {
@@ -167,13 +169,16 @@ impl Session {
         match self.scribe.join(limit.map(|limit| 3 * limit)) {
             Ok(collector) => {
                 let (losses, again) = (self.log.losses(), self.log.again());
-                collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path))
+                let folder = collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path));
+                let without_pair = frames.saturating_sub(folder.pairs.len());
+                Folder { frames, unfinished: left.map_or(without_pair, |(_, open)| open), ..folder }
             }
             Err(how) => {
                 self.log.lose(format!("the thread that writes files {how}; {}", self.log.again()));
                 let folder = path.parent().map(PathBuf::from).unwrap_or_default();
                 let (pairs, views, losses) = (Vec::new(), Default::default(), self.log.losses());
-                Folder { path: folder, log: Some(path), pairs, views, losses, report: None }
+                let unfinished = left.map_or(frames, |(_, open)| open);
+                Folder { path: folder, log: Some(path), pairs, views, losses, frames, unfinished, report: None }
             }
         }
     }

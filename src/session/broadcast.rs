@@ -271,10 +271,11 @@ fn transform(device: &str, time_us: i64, transform: Rigid) -> Message {
 }
 
 fn status_of(posed: &Posed, words: &str) -> Status {
-    let (code, name) = match (posed.pose.is_accepted(), posed.telemetry_disagreement, &posed.pose.doubt) {
-        (true, None, None) => (Status::OK, Standing::Accepted.short()),
-        (true, Some(_), _) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
-        (true, None, Some(_)) => (Status::ERROR, Standing::InDoubt.short()),
+    let disagrees = posed.telemetry_disagreement.is_some() || posed.other_depth.is_some();
+    let (code, name) = match (posed.pose.is_accepted(), disagrees, &posed.pose.doubt) {
+        (true, false, None) => (Status::OK, Standing::Accepted.short()),
+        (true, true, _) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
+        (true, false, Some(_)) => (Status::ERROR, Standing::InDoubt.short()),
         (false, _, _) => (Status::ERROR, Standing::Refused.short()),
     };
     Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }

@@ -413,6 +413,9 @@ fn row(posed: &Posed) -> Pair {
         pair.doubt_by_telemetry(&words);
         pair.flags.push(words);
     }
+    if let Some(words) = &posed.other_depth {
+        pair.doubt_by_telemetry(words);
+    }
     pair.gap_us = posed.robot.as_ref().map(|robot| robot.gap_us).max(posed.carm_gap_us);
     pair.stages_ms = posed.stages.clone();
     pair

@@ -361,6 +361,7 @@ impl Registered {
             nominal,
             beam,
             telemetry_disagreement: None,
+            other_depth: None,
             stages,
         };
         (posed, seen)

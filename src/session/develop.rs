@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::crosscheck::{ExposureFacts, check_exposure, innovation};
+use super::crosscheck::{ExposureFacts, check_exposure, innovation, turned_picture_deg};
 use super::declared::Declared;
 use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
@@ -409,7 +409,11 @@ fn row(posed: &Posed) -> Pair {
     });
     pair.robot_cautions = posed.robot.iter().flat_map(|robot| &robot.cautions).map(ToString::to_string).collect();
     if let Some(apart) = posed.telemetry_disagreement {
-        let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg);
+        let turned_deg =
+            posed.view.zip(posed.nominal).and_then(|(view, nominal)| turned_picture_deg(&view.camera_from_lps, &nominal));
+        let turned =
+            turned_deg.map(|deg| format!(": was the picture turned by {deg} degrees at the console?")).unwrap_or_default();
+        let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart{turned}", apart.mm, apart.deg);
         pair.doubt_by_telemetry(&words);
         pair.flags.push(words);
     }

@@ -302,4 +302,16 @@ mod tests {
         assert!(told.name == "C-arm, robot silent" && told.name.len() <= 20, "{}", told.name);
         assert!(told.words.contains("nothing has come from the C-arm yet"), "{}", told.words);
     }
+
+    /// Navigation would have used a pose that was 6 mm off as a good one.
+    #[test]
+    fn a_depth_that_is_another_reaches_those_who_listen() {
+        let k = crate::geometry::Intrinsics { fx: 1700.0, fy: 1700.0, skew: 0.0, cx: 199.5, cy: 159.5 };
+        let projection = Some(crate::geometry::Projection::compose(&k, &Rigid::IDENTITY));
+        let pose = crate::pose::Pose { projection, ..crate::pose::Pose::default() };
+        let posed = Posed { pose, ..Posed::bare(1) };
+        assert_eq!(status_of(&posed, "").code, Status::OK);
+        let told = status_of(&Posed { other_depth: Some("nearer".to_owned()), ..posed }, "");
+        assert_eq!((told.code, told.name.as_str()), (Status::ERROR, "telemetry disagrees"));
+    }
 }

@@ -228,6 +228,71 @@ fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
     assert_eq!(reporter.warnings().values().map(|warning| warning.count).sum::<u64>(), 2, "{said}");
 }
 
+/// Whole turns are none: an arm that counts from 0 to 360 was told to home an encoder that was right.
+#[test]
+fn angles_are_held_against_the_arm_s_ranges_whichever_turn_they_are_counted_in() {
+    let ranges = [[0.0, 400.0], [-10.0, 10.0], [0.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
+    let arm = Metadata {
+        device_us: 0,
+        sequence: 0,
+        device: DeviceKind::Carm,
+        schema: 0,
+        serial_number: String::new(),
+        firmware: String::new(),
+        calibration_id: String::new(),
+        units: "mm,deg".to_owned(),
+        limits: ranges.map(|[min, max]| Limit { min, max }).to_vec(),
+    };
+    let setup = setup(SCENE, calibration());
+    let (reporter, mut watch) = (Reporter::silent(), LineWatch::default());
+    watch.take(&setup, &Sample::Metadata(arm), &reporter);
+    let mut at = |orbital_deg: f64| {
+        let joints = CarmJoints {
+            orbital_rad: orbital_deg.to_radians(),
+            wig_wag_rad: 360f64.to_radians(),
+            angulation_rad: (-358.0f64).to_radians(),
+            detector_rotation_rad: 360f64.to_radians(),
+            ..sample().joints
+        };
+        watch.take(&setup, &Sample::Carm(CarmSample { joints, ..sample() }), &reporter);
+        format!("{:?}", reporter.warnings())
+    };
+    for deg in [360.0, 359.0, -275.0, 720.0] {
+        let said = at(deg);
+        assert!(!said.contains("out of range"), "{deg}: {said}");
+    }
+    let said = at(480.0);
+    assert!(said.contains("orbital_deg 120.0"), "{said}");
+}
+
+/// The console had turned the picture, and the words sent people to world_from_lps and the encoders.
+#[test]
+fn a_picture_that_is_turned_by_quarters_is_the_console_s_first() {
+    let turned = |about: DVec3, deg: f64| {
+        exposure(|_, _, n, _| {
+            let centre = n.transform_point(DVec3::splat(5.0));
+            let turn = Rigid::rotation(DQuat::from_scaled_axis(about * deg.to_radians()));
+            *n = Rigid::translation(centre) * turn * Rigid::translation(-centre) * *n;
+        })
+    };
+    for (deg, said) in
+        [(180.0, "turned by 180 degrees at the console"), (-90.0, "turned by 90 degrees"), (268.0, "turned by 90 degrees")]
+    {
+        let found = turned(DVec3::Z, deg);
+        let sentence = found.first().map(ToString::to_string).unwrap_or_default();
+        let named = sentence.find("rotation_deg").zip(sentence.find("world_from_lps"));
+        assert!(found.len() == 1 && sentence.contains(said), "{found:#?}");
+        assert!(named.is_some_and(|(console, room)| console < room), "{sentence}");
+    }
+    let mut cases = 0;
+    for (about, deg) in [(DVec3::Z, 30.0), (DVec3::X, 180.0), (DVec3::Y, 90.0), (DVec3::Z, 100.0)] {
+        let found = turned(about, deg);
+        assert!(found.len() == 1 && !found[0].to_string().contains("console"), "{about} {deg}: {found:#?}");
+        cases += 1;
+    }
+    assert_eq!(cases, 4);
+}
+
 fn stated(f_px: f64, size_px: [u32; 2], pitch_mm: f64) -> Option<IntrinsicsFile> {
     let k = [[f_px, 0.0, 309.5], [0.0, f_px, 239.5], [0.0, 0.0, 1.0]];
     serde_json::from_value(serde_json::json!({"intrinsics": k, "size_px": size_px, "pitch_mm": pitch_mm})).ok()

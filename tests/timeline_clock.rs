@@ -132,6 +132,27 @@ fn steps_of_the_device_clock_begin_a_new_map() {
     assert_eq!(cases, 5);
 }
 
+/// A device that was plugged in again sent what it had missed in a burst, all of it waited in front of the port together with eight samples at
+/// the usual rate, and each of those was said to be a jump of its clock.
+#[test]
+fn what_waited_in_front_of_a_port_just_opened_is_no_step_at_whatever_rate_it_was_sent() {
+    let read_us = T0_US + 400_000;
+    let mut device_us = 5_000_000;
+    let stamps: Vec<(i64, i64)> = (0..80i64)
+        .map(|i| {
+            device_us += if i < 18 { 3_000 } else { 33_000 };
+            (device_us, read_us + (i - 26).max(0) * 33_000)
+        })
+        .collect();
+    let (clock, placed) = run(&stamps);
+    assert_eq!(clock.steps_and_resets(), (0, 0));
+    assert!(placed.iter().all(|placed| *placed == Placed::InOrder(0)), "{placed:?}");
+    // Once samples come as they are sent a step as small is one.
+    let stepped: Vec<(i64, i64)> =
+        stamps.iter().enumerate().map(|(i, (device, host))| (device + if i >= 60 { 60_000 } else { 0 }, *host)).collect();
+    assert_eq!(run(&stepped).0.steps_and_resets(), (1, 0));
+}
+
 #[test]
 fn pauses_delays_and_losses_are_not_steps() {
     let even = stamps(12, 50.0, 60.0, 100.0, 1_000.0);

@@ -11,7 +11,7 @@ use super::{Intrinsics, Rigid, turned_camera};
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CarmCalibrationError {
     /// A joint that the chain needs was not measured.
-    #[error("C-arm joint {joint} is not measured and the calibration gives no value for it")]
+    #[error("C-arm joint {joint} is not measured{}", stated(.joint))]
     NotMeasured {
         /// Key of the joint.
         joint: &'static str,
@@ -24,6 +24,11 @@ pub enum CarmCalibrationError {
         /// Value found.
         value: f64,
     },
+}
+
+/// The calibration may state the distance, and no joint.
+fn stated(joint: &str) -> &'static str {
+    if joint == "source_to_detector_mm" { ", and the calibration does not state it" } else { "" }
 }
 
 /// A calibration file of `calibration/carm/`: geometry, detector and offsets of one C-arm.
@@ -305,6 +310,9 @@ mod tests {
     fn a_missing_encoder_is_named() {
         let joints = CarmJoints { orbital_rad: f64::NAN, ..CarmJoints::ZERO };
         let error = calibration().world_from_camera(&joints).expect_err("orbital is missing");
-        assert!(error.to_string().contains("orbital_deg"));
+        assert_eq!(error.to_string(), "C-arm joint orbital_deg is not measured");
+        let unstated = CarmCalibration { source_to_detector_mm: None, ..calibration() };
+        let error = unstated.intrinsics(&CarmJoints { source_to_detector_mm: f64::NAN, ..joints }).expect_err("nobody says it");
+        assert!(error.to_string().contains("source_to_detector_mm is not measured, and the calibration does not state it"));
     }
 }

@@ -271,10 +271,11 @@ fn transform(device: &str, time_us: i64, transform: Rigid) -> Message {
 }
 
 fn status_of(posed: &Posed, words: &str) -> Status {
-    let (code, name) = match (posed.pose.is_accepted(), posed.telemetry_disagreement, &posed.pose.doubt) {
-        (true, None, None) => (Status::OK, Standing::Accepted.short()),
-        (true, Some(_), _) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
-        (true, None, Some(_)) => (Status::ERROR, Standing::InDoubt.short()),
+    let disagrees = posed.telemetry_disagreement.is_some() || posed.other_depth.is_some();
+    let (code, name) = match (posed.pose.is_accepted(), disagrees, &posed.pose.doubt) {
+        (true, false, None) => (Status::OK, Standing::Accepted.short()),
+        (true, true, _) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
+        (true, false, Some(_)) => (Status::ERROR, Standing::InDoubt.short()),
         (false, _, _) => (Status::ERROR, Standing::Refused.short()),
     };
     Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }
@@ -300,5 +301,17 @@ mod tests {
         // The protocol has room for twenty characters.
         assert!(told.name == "C-arm, robot silent" && told.name.len() <= 20, "{}", told.name);
         assert!(told.words.contains("nothing has come from the C-arm yet"), "{}", told.words);
+    }
+
+    /// Navigation would have used a pose that was 6 mm off as a good one.
+    #[test]
+    fn a_depth_that_is_another_reaches_those_who_listen() {
+        let k = crate::geometry::Intrinsics { fx: 1700.0, fy: 1700.0, skew: 0.0, cx: 199.5, cy: 159.5 };
+        let projection = Some(crate::geometry::Projection::compose(&k, &Rigid::IDENTITY));
+        let pose = crate::pose::Pose { projection, ..crate::pose::Pose::default() };
+        let posed = Posed { pose, ..Posed::bare(1) };
+        assert_eq!(status_of(&posed, "").code, Status::OK);
+        let told = status_of(&Posed { other_depth: Some("nearer".to_owned()), ..posed }, "");
+        assert_eq!((told.code, told.name.as_str()), (Status::ERROR, "telemetry disagrees"));
     }
 }

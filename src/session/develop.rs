@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::bound::copy_of;
-use super::crosscheck::{ExposureFacts, check_exposure, innovation};
+use super::crosscheck::{ExposureFacts, check_exposure, innovation, turned_picture_deg};
 use super::declared::Declared;
 use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
@@ -411,9 +411,16 @@ fn row(posed: &Posed) -> Pair {
     });
     pair.robot_cautions = posed.robot.iter().flat_map(|robot| &robot.cautions).map(ToString::to_string).collect();
     if let Some(apart) = posed.telemetry_disagreement {
-        let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg);
+        let turned_deg =
+            posed.view.zip(posed.nominal).and_then(|(view, nominal)| turned_picture_deg(&view.camera_from_lps, &nominal));
+        let turned =
+            turned_deg.map(|deg| format!(": was the picture turned by {deg} degrees at the console?")).unwrap_or_default();
+        let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart{turned}", apart.mm, apart.deg);
         pair.doubt_by_telemetry(&words);
         pair.flags.push(words);
+    }
+    if let Some(words) = &posed.other_depth {
+        pair.doubt_by_telemetry(words);
     }
     pair.gap_us = posed.robot.as_ref().map(|robot| robot.gap_us).max(posed.carm_gap_us);
     pair.stages_ms = posed.stages.clone();
@@ -426,5 +433,42 @@ fn how(binding: &Binding) -> &'static str {
         BindingHow::Counter => "counter",
         BindingHow::Time => "time",
         BindingHow::None => "none",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Intrinsics, Projection, Rigid};
+    use crate::pose::Pose;
+    use crate::session::tie::Disagreement;
+
+    fn accepted() -> Posed {
+        let intrinsics = Intrinsics { fx: 1700.0, fy: 1700.0, skew: 0.0, cx: 199.5, cy: 159.5 };
+        let view = View { size_px: [400, 320], intrinsics, camera_from_lps: Rigid::translation(DVec3::Z * 600.0) };
+        let projection: Option<Projection> = Some(view.projection());
+        Posed { pose: Pose { projection, ..Pose::default() }, view: Some(view), ..Posed::bare(1) }
+    }
+
+    #[test]
+    fn a_depth_that_is_another_is_amber_with_its_words() {
+        assert_eq!(row(&accepted()).status, PairStatus::Accepted);
+        let pair = row(&Posed { other_depth: Some("6 mm nearer".to_owned()), ..accepted() });
+        assert_eq!((pair.status, pair.reason.as_deref()), (PairStatus::AcceptedTelemetryDisagrees, Some("6 mm nearer")));
+    }
+
+    #[test]
+    fn a_picture_that_lies_the_other_way_round_asks_for_the_console() {
+        let apart = Some(Disagreement { mm: 7.0, deg: 180.0 });
+        let turned = Rigid::exp(DVec3::Z * std::f64::consts::PI, DVec3::ZERO) * Rigid::translation(DVec3::Z * 600.0);
+        let of = |nominal| {
+            row(&Posed { telemetry_disagreement: apart, nominal: Some(nominal), ..accepted() }).reason.unwrap_or_default()
+        };
+        let words = of(turned);
+        assert!(
+            words.starts_with("telemetry and beads are 7.0 mm and 180.0 degrees apart: was the picture turned by 180"),
+            "{words}"
+        );
+        assert!(!of(Rigid::translation(DVec3::Z * 600.0)).contains("console"));
     }
 }

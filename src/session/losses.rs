@@ -8,6 +8,9 @@ use crate::timeline::ExposureInterval;
 
 /// So many exposures are named.
 const NAMED: usize = 8;
+/// Beams are on for a smaller share of the time between the first and the last, or fewer tell nothing of it.
+const MOSTLY: f64 = 0.6;
+const LEAST_EXPOSURES: usize = 3;
 
 /// How an event of the log begins that tells of a loss which a replay cannot find out by itself: no frame came that it could miss.
 const LOST: &str = "lost: ";
@@ -82,6 +85,19 @@ pub(super) fn line_losses(link: &Link) -> Option<String> {
     (!words.is_empty()).then(|| format!("{device}: {}{latest}", words.join(", ")))
 }
 
+/// That the beam is on most of the time, as it is not; `None` where it is not.
+fn mostly_on(exposures: &[ExposureInterval]) -> Option<String> {
+    let seen = || exposures.iter().filter(|exposure| exposure.samples > 0);
+    let span_us = seen().map(|exposure| exposure.end_us).max()?.saturating_sub(seen().map(|exposure| exposure.start_us).min()?);
+    let on_us: i64 = seen().map(|exposure| exposure.end_us.saturating_sub(exposure.start_us)).sum();
+    let [on_s, span_s] = [on_us, span_us].map(|us| us as f64 * 1e-6);
+    (seen().count() >= LEAST_EXPOSURES && on_s >= MOSTLY * span_s).then(|| {
+        format!(
+            "; by telemetry the beam is on for {on_s:.1} s of {span_s:.1} s: does its X-ray flag say the opposite (`on` and `off` exchanged)?"
+        )
+    })
+}
+
 /// Exposures that are not among those that frames show, and how many frames (`unbound`) may be of them; `None` where each has one.
 pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
     let alone: Vec<String> =
@@ -97,7 +113,8 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
             ),
             _ => format!(
                 "{alone} of {count} exposures have no frame ({named}{more}), and {unbound} frames no exposure: which belongs to which is not \
-                 certain, so their pairs have no joints, robot or beam of telemetry; `binding_evidence` of each pair says why"
+                 certain, so their pairs have no joints, robot or beam of telemetry; `binding_evidence` of each pair says why{}",
+                mostly_on(exposures).filter(|_| alone == count).unwrap_or_default()
             ),
         }
     })
@@ -250,6 +267,45 @@ mod tests {
         assert_eq!((of_no_exposure(true, counted_on), counted_on.all()), (None, 3));
         // Else they may be of the exposures that have none, which is said.
         assert_eq!([of_no_exposure(true, Untied::default()), of_no_exposure(false, mixed)], [None, None]);
+    }
+
+    /// On for 1.3 s of every 1.6 s, and nothing said why no frame could be tied.
+    #[test]
+    fn a_beam_that_is_on_most_of_the_time_has_its_flag_inverted() {
+        let exposures = |on_us: i64| -> Vec<ExposureInterval> {
+            let exposure = |index: i64| ExposureInterval {
+                index: index as u64,
+                counter: None,
+                epoch: 0,
+                start_us: 1_600_000 * index,
+                end_us: 1_600_000 * index + on_us,
+                segment: 0,
+                device_us: [0, on_us],
+                start_uncertainty_us: 1e4,
+                end_uncertainty_us: 1e4,
+                open: false,
+                start_seen: true,
+                end_seen: true,
+                samples: 39,
+                tube_kvp: 60.0,
+                tube_ma: 2.0,
+                joints: None,
+                beam: None,
+                joint_range: [0.0; 7],
+                control_angles_deg: None,
+                tracker_from_base: None,
+            };
+            (0..5).map(exposure).collect()
+        };
+        let says = |exposures: &[ExposureInterval], shown: &[u64], unbound: usize| {
+            let words = without_frame(exposures, &shown.iter().copied().collect(), unbound).expect("some have none");
+            words.contains("for 6.5 s of 7.7 s: does its X-ray flag say the opposite")
+        };
+        assert!(says(&exposures(1_300_000), &[], 4));
+        assert!(!says(&exposures(300_000), &[], 4), "as beams are");
+        assert!(!says(&exposures(1_300_000)[..2], &[], 4), "two long runs");
+        assert!(!says(&exposures(1_300_000), &[2], 4), "one has its frame");
+        assert!(!says(&exposures(1_300_000), &[], 0), "no frame to tie");
     }
 
     #[test]

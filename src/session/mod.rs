@@ -45,6 +45,7 @@ mod broadcast;
 mod busy;
 mod chime;
 mod chosen_k;
+mod depth_jump;
 mod develop;
 mod developed;
 mod editing;
@@ -84,6 +85,7 @@ mod robot_state;
 mod scribe;
 mod shown;
 mod sources;
+mod stand;
 mod standstill;
 mod stated_k;
 mod stop;
@@ -201,13 +203,15 @@ pub enum SessionError {
     },
     /// A file that the logged session read is nowhere.
     #[error(
-        "{label} (SHA-256 {sha256}), which the session read, is neither where this machine last had it nor near the log; name its folder with --data"
+        "{label} (SHA-256 {sha256}), which the session read, is neither where this machine last had it{there} nor near the log; name its folder with --data"
     )]
     InputMissing {
         /// Its name in the log.
         label: String,
         /// Its hash.
         sha256: String,
+        /// What is there instead, in words that follow; empty where nothing is.
+        there: &'static str,
     },
     /// The log is not one of a session.
     #[error("{path}: no session in this log ({detail})")]

@@ -71,7 +71,11 @@ pub(super) fn find(setup: &mut Setup, log: &Path, data: Option<&Path>) -> Result
     // The scene itself is in the log, and so are files without a size: those that come with the program.
     for input in setup.inputs.iter().skip(1).filter(|input| input.bytes > 0) {
         let place = place_of(input, &near, &known);
-        let missing = || SessionError::InputMissing { label: input.label.clone(), sha256: input.sha256.clone() };
+        let missing = || SessionError::InputMissing {
+            label: input.label.clone(),
+            sha256: input.sha256.clone(),
+            there: instead(input, &known),
+        };
         places.insert(input.label.clone(), place.ok_or_else(missing)?);
     }
     setup.places = places;
@@ -89,6 +93,15 @@ fn place_of(input: &LoggedInput, near: &[(PathBuf, usize)], known: &Known) -> Op
         same.map(|file| file.path.clone()).find(|path| is(path, input))
     };
     near.iter().find_map(|(folder, depth)| below(folder, *depth)).or_else(remembered).or_else(|| below(Path::new("."), 1))
+}
+
+/// What is where this machine had a file that is found no more.
+fn instead(input: &LoggedInput, known: &Known) -> &'static str {
+    let had = known.files.iter().filter(|file| file.sha256 == input.sha256);
+    match had.map(|file| &file.path).any(|path| path.exists()) {
+        true => " (what is there has other content: it was changed, or replaced, since the session read it)",
+        false => "",
+    }
 }
 
 fn is(path: &Path, input: &LoggedInput) -> bool {
@@ -148,6 +161,24 @@ mod tests {
         assert_eq!(place_of(&input, &folders, &known).as_ref(), Some(&paths[1]));
         std::fs::remove_file(&paths[1]).expect("removed");
         assert_eq!(place_of(&input, &folders, &known), None);
+    }
+
+    /// A CT that was replaced while the session ran was said not to be there.
+    #[test]
+    fn a_file_with_other_content_is_said_to_be_there() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ct.nrrd");
+        std::fs::write(&path, b"another scan").expect("written");
+        let sha256 = sha256_bytes(b"the scan");
+        let input = LoggedInput { label: "ct.nrrd".to_owned(), sha256: sha256.clone(), bytes: 8, part: None };
+        let known = Known { files: vec![KnownFile { sha256: sha256.clone(), path: path.clone() }] };
+        assert_eq!(place_of(&input, &[], &known), None);
+        let there = instead(&input, &known);
+        let words = SessionError::InputMissing { label: "ct.nrrd".to_owned(), sha256, there }.to_string();
+        assert!(words.contains("last had it (what is there has other content") && words.contains("nor near the log"), "{words}");
+        std::fs::remove_file(&path).expect("removed");
+        assert_eq!(instead(&input, &known), "", "gone");
+        assert_eq!(instead(&input, &Known::default()), "", "never had");
     }
 
     /// A header leads to its voxels, whatever the two are called by now and whichever of them has the smaller hash.

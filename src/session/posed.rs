@@ -53,6 +53,8 @@ pub struct Posed {
     pub beam: Option<Box<CarmSample>>,
     /// How far beads and telemetry are apart, where they contradict each other.
     pub telemetry_disagreement: Option<Disagreement>,
+    /// That the beads' depth is not that of other frames, which a picture of another scale explains.
+    pub other_depth: Option<String>,
     /// Wall time of detection and pose.
     pub stages: StageTimes,
 }
@@ -113,6 +115,7 @@ impl Posed {
             nominal: None,
             beam: None,
             telemetry_disagreement: None,
+            other_depth: None,
             stages: StageTimes::default(),
         }
     }

@@ -8,7 +8,7 @@ use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
 use super::posed::Posed;
-use super::remedy::K_REMEDY;
+use super::remedy::{K_REMEDY, no_joints};
 use super::shown::Shown;
 use super::told_field::told_field;
 use crate::beads::tags::TagLayout;
@@ -71,7 +71,7 @@ impl PoseJob {
         // Of the frame where it fits the calibration: its columns may be turned against the panel's.
         let carm = sized.as_ref().or(known.setup.carm.as_ref());
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
-            carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
+            carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", no_joints(&error))).ok()
         });
         let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
         let source_to_isocentre_mm = carm.map(|carm| carm.source_to_isocentre_mm).or_else(|| pose::isocentre_of(&frame.tags));
@@ -362,6 +362,7 @@ impl Registered {
             nominal,
             beam,
             telemetry_disagreement: None,
+            other_depth: None,
             stages,
         };
         (posed, seen)

@@ -1,6 +1,7 @@
 //! What the people at the C-arm can do about a frame whose pose is refused or doubted.
 
 use super::posed::Posed;
+use crate::geometry::CarmCalibrationError;
 use crate::pose::{Pose, Refusal};
 use crate::report::{Pair, Standing};
 
@@ -10,6 +11,14 @@ pub(super) const K_REMEDY: &str = "give intrinsics in the session, or the C-arm'
 /// Of a pose that is refused with a K that the frame's own header contradicts.
 const HEADER_REMEDY: &str = "correct K, or the calibration that it is of: the reason says its focal length and what the header's distance and pitch \
                              give; where one is a whole multiple of the other, K is of frames that are binned otherwise";
+
+/// What follows where joints give no camera, and what helps.
+pub(super) fn no_joints(error: &CarmCalibrationError) -> String {
+    format!(
+        "{error}: there is no pose by joints, so nothing checks the poses of the beads, or stands in for one; let the arm, or its adapter, send \
+         it (where the arm cannot move it, the number at which it stands)"
+    )
+}
 
 /// In a sentence; `None` where nothing needs mending.
 pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
@@ -23,6 +32,9 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
         Standing::InDoubt if posed.pose.doubt.as_deref().is_some_and(|words| words.ends_with(K_REMEDY)) => K_REMEDY,
         Standing::InDoubt => {
             "check what the reason names; where it leaves two readings, another direction or more beads in view tell them apart"
+        }
+        Standing::TelemetryDisagrees if posed.other_depth.is_some() => {
+            "check the source-to-detector distance, and that the picture comes as the panel took it (zoom, crop, pitch), then expose again"
         }
         Standing::TelemetryDisagrees => {
             "check that the specimen has not moved and that the arm's joints read right, then expose again"
@@ -93,5 +105,34 @@ pub(super) fn of_refusal(refusal: &Refusal) -> &'static str {
         Refusal::Fault { .. } | Refusal::Unsolved | Refusal::Correspondences { .. } => {
             "expose again; the log keeps this frame as it came"
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::PairStatus;
+
+    /// An adapter without one joint gave no pose by joints in a whole session, and only the joint was named.
+    #[test]
+    fn a_joint_that_is_not_sent_says_what_follows_and_what_helps() {
+        let words = no_joints(&CarmCalibrationError::NotMeasured { joint: "detector_rotation_deg" });
+        for part in [
+            "detector_rotation_deg is not measured",
+            "no pose by joints",
+            "nothing checks the poses of the beads",
+            "adapter, send it",
+        ] {
+            assert!(words.contains(part), "{part} in {words}");
+        }
+    }
+
+    #[test]
+    fn a_depth_that_is_another_sends_people_to_the_distance() {
+        let pair = Pair { status: PairStatus::AcceptedTelemetryDisagrees, ..Pair::unmatched("a", "another depth") };
+        let of =
+            |other_depth: Option<&str>| remedy(&Posed { other_depth: other_depth.map(str::to_owned), ..Posed::bare(1) }, &pair);
+        assert!(of(Some("nearer")).is_some_and(|words| words.contains("source-to-detector distance")));
+        assert!(of(None).is_some_and(|words| words.contains("specimen has not moved")));
     }
 }

@@ -5,17 +5,16 @@
 //! the beam sensors hardly tell: a depth that differs from that of similar directions by more than sag does is another focal length, a
 //! picture that was enlarged or cropped on its way, if nothing was moved.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use glam::DVec3;
 
+use super::depth_jump::DepthJump;
 use super::posed::Posed;
+use super::stand::Stand;
 use crate::estimate::median;
-use crate::geometry::{CarmJoints, Rigid};
+use crate::geometry::Rigid;
 
-/// Joints that differ by no more are the same stand: mm and rad. Over so little an arm sags alike.
-const SAME_MM: f64 = 10.0;
-const SAME_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Sensors of ±0.2° in three joints, 630 mm away, twice.
 const MOVED_MM: f64 = 6.0;
 const MOVED_DEG: f64 = 1.5;
@@ -32,34 +31,34 @@ const SIGMAS: f64 = 4.0;
 /// Frames that are remembered.
 const KEPT: usize = 32;
 
-#[derive(Clone, Debug)]
-struct Stand {
-    number: u32,
-    joints: CarmJoints,
-    world_from_lps: Rigid,
-    /// Along +z of the camera.
-    beam_in_world: DVec3,
-    /// Of the specimen from the focal spot.
-    depth_mm: f64,
-    sigma_mm: f64,
-    sigma_depth_mm: f64,
+/// What the earlier frames say of one.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Contradiction {
+    pub(super) words: String,
+    /// The frame's own pose may be wrong for it: a specimen that was moved is where its beads are, in a picture of another scale it is not.
+    pub(super) of_its_depth: bool,
 }
 
 /// See the module.
 #[derive(Clone, Debug)]
 pub(super) struct Standstill {
     centre_lps_mm: DVec3,
+    depth_jump: DepthJump,
     /// In the order in which they were registered.
     stands: VecDeque<Stand>,
+    /// Frames of whose depth it was said.
+    told: BTreeSet<u32>,
 }
 
 impl Standstill {
-    pub(super) fn new(centre_lps_mm: DVec3) -> Self {
-        Self { centre_lps_mm, stands: VecDeque::new() }
+    /// `declared` is where the session has the specimen.
+    pub(super) fn new(centre_lps_mm: DVec3, declared: Option<Rigid>) -> Self {
+        let depth_jump = DepthJump::new(centre_lps_mm, declared);
+        Self { centre_lps_mm, depth_jump, stands: VecDeque::new(), told: BTreeSet::new() }
     }
 
     /// Takes a posed frame and where its beads put the specimen; words where the earlier frames contradict it.
-    pub(super) fn observe(&mut self, posed: &Posed, world_from_lps: Option<Rigid>) -> Option<String> {
+    pub(super) fn observe(&mut self, posed: &Posed, world_from_lps: Option<Rigid>) -> Option<Contradiction> {
         let (joints, world_from_lps) = posed.joints.zip(world_from_lps)?;
         // Of a pose that telemetry is fused into, what the beads alone say, and no surer than both together.
         let (camera_from_lps, variances) = match posed.pose.innovation.filter(|_| posed.pose.fused) {
@@ -81,15 +80,27 @@ impl Standstill {
         })
     }
 
-    fn take(&mut self, now: Stand) -> Option<String> {
-        let words =
-            self.stands.iter().rev().find(|before| is_same(&before.joints, &now.joints)).and_then(|b| self.moved(b, &now));
-        let words = words.or_else(|| self.enlarged(&now));
+    fn take(&mut self, now: Stand) -> Option<Contradiction> {
+        // One that is posed anew does not speak for itself.
+        self.stands.retain(|before| before.number != now.number);
+        let moved = self.stands.iter().rev().find(|before| before.is_where(&now)).and_then(|before| self.moved(before, &now));
+        let of_its_depth = || self.enlarged(&now).or_else(|| self.depth_jump.of_now(self.stands.iter(), &now));
+        let said = moved.map(|words| Contradiction { words, of_its_depth: false });
+        let said = said.or_else(|| of_its_depth().map(|words| Contradiction { words, of_its_depth: true }));
+        let (mut wrong, mut of_before) = (Vec::new(), None);
+        if said.is_none()
+            && let Some((numbers, words)) =
+                self.depth_jump.of_before(self.stands.iter(), &now, |number| self.told.contains(&number))
+        {
+            (wrong, of_before) = (numbers, Some(Contradiction { words, of_its_depth: false }));
+        }
+        self.told.extend(wrong);
+        self.told.extend(said.as_ref().filter(|said| said.of_its_depth).map(|_| now.number));
         self.stands.push_back(now);
         if self.stands.len() > KEPT {
             self.stands.pop_front();
         }
-        words
+        said.or(of_before)
     }
 
     fn moved(&self, before: &Stand, now: &Stand) -> Option<String> {
@@ -98,20 +109,24 @@ impl Standstill {
         let (mm, depth_mm) = (shift_mm.length(), shift_mm.dot(now.beam_in_world));
         let allowed_mm = MOVED_MM + SIGMAS * before.sigma_mm.hypot(now.sigma_mm);
         let allowed_depth_mm = NEARER_MM + SIGMAS * before.sigma_depth_mm.hypot(now.sigma_depth_mm);
-        if mm <= allowed_mm && deg <= MOVED_DEG && depth_mm.abs() <= allowed_depth_mm {
+        // Which of two that differ in depth alone is wrong others may tell.
+        let is_depth_alone = self.depth_jump.is_between(now, before);
+        if is_depth_alone || (mm <= allowed_mm && deg <= MOVED_DEG && depth_mm.abs() <= allowed_depth_mm) {
             return None;
         }
+        // An enlargement cannot turn.
+        let may_be_enlarged = depth_mm.abs() > allowed_depth_mm && deg <= MOVED_DEG;
         Some(format!(
             "the specimen lies {mm:.1} mm and {deg:.1} degrees from where frame {} shows it, with the arm in the same place: specimen, \
              table or the arm's base was moved, or an encoder jumped{}",
             before.number,
-            if depth_mm.abs() > allowed_depth_mm { enlargement(depth_mm, now.depth_mm) } else { String::new() }
+            if may_be_enlarged { enlargement(depth_mm, now.depth_mm) } else { String::new() }
         ))
     }
 
     /// Words where the specimen is nearer, or farther away, than the frames from similar directions have it.
     fn enlarged(&self, now: &Stand) -> Option<String> {
-        let turn_deg = |stand: &Stand| stand.beam_in_world.angle_between(now.beam_in_world).to_degrees();
+        let turn_deg = |stand: &Stand| stand.beams_deg(now);
         let mut others: Vec<&Stand> = self.stands.iter().collect();
         others.sort_by(|a, b| turn_deg(a).total_cmp(&turn_deg(b)));
         others.truncate(USUAL);
@@ -150,45 +165,40 @@ fn enlargement(farther_mm: f64, depth_mm: f64) -> String {
     )
 }
 
-/// Whether two readings are one stand of the arm; joints without an encoder are NaN in both.
-fn is_same(a: &CarmJoints, b: &CarmJoints) -> bool {
-    let within = |a: f64, b: f64, limit: f64| (a.is_nan() && b.is_nan()) || (a - b).abs() <= limit;
-    let turned = |a: f64, b: f64| (a.is_nan() && b.is_nan()) || crate::units::wrap_rad(a - b).abs() <= SAME_RAD;
-    within(a.lift_mm, b.lift_mm, SAME_MM)
-        && within(a.longitudinal_mm, b.longitudinal_mm, SAME_MM)
-        && within(a.source_to_detector_mm, b.source_to_detector_mm, SAME_MM)
-        && turned(a.wig_wag_rad, b.wig_wag_rad)
-        && turned(a.angulation_rad, b.angulation_rad)
-        && turned(a.orbital_rad, b.orbital_rad)
-        && turned(a.detector_rotation_rad, b.detector_rotation_rad)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn stand(number: u32, orbital_deg: f64, shift_mm: f64, sigma_mm: f64) -> Stand {
-        at(number, orbital_deg, DVec3::new(0.0, shift_mm, 0.0), sigma_mm)
+        Stand::at(number, orbital_deg, DVec3::new(0.0, shift_mm, 0.0), sigma_mm)
     }
 
     fn at(number: u32, orbital_deg: f64, place_mm: DVec3, sigma_mm: f64) -> Stand {
-        let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), lift_mm: f64::NAN, ..CarmJoints::ZERO };
-        let turn = Rigid::exp(DVec3::Y * orbital_deg.to_radians(), DVec3::ZERO);
-        let (beam_in_world, world_from_lps) = (turn.transform_vector(DVec3::Z), Rigid::translation(place_mm));
-        Stand { number, joints, world_from_lps, beam_in_world, depth_mm: 700.0, sigma_mm, sigma_depth_mm: sigma_mm }
+        Stand::at(number, orbital_deg, place_mm, sigma_mm)
+    }
+
+    impl Standstill {
+        /// Of a session that declares nothing.
+        fn undeclared() -> Self {
+            Self::new(DVec3::ZERO, None)
+        }
+
+        fn words(&mut self, now: Stand) -> Option<String> {
+            self.take(now).map(|said| said.words)
+        }
     }
 
     #[test]
     fn a_specimen_that_slides_under_a_standing_arm_is_said_and_what_an_arm_explains_is_not() {
-        let mut standstill = Standstill::new(DVec3::ZERO);
-        assert_eq!(standstill.take(stand(1, 30.0, 0.0, 0.3)), None);
-        assert_eq!(standstill.take(stand(2, 30.3, 1.0, 0.3)), None, "sensors");
-        let words = standstill.take(stand(3, 29.8, 9.5, 0.3)).expect("8.5 mm");
+        let mut standstill = Standstill::undeclared();
+        assert_eq!(standstill.words(stand(1, 30.0, 0.0, 0.3)), None);
+        assert_eq!(standstill.words(stand(2, 30.3, 1.0, 0.3)), None, "sensors");
+        let words = standstill.words(stand(3, 29.8, 9.5, 0.3)).expect("8.5 mm");
         assert!(words.contains("8.5 mm") && words.contains("frame 2"), "{words}");
-        assert_eq!(standstill.take(stand(4, 30.0, 9.0, 0.3)), None, "it is said once");
-        assert_eq!(standstill.take(stand(5, 75.0, 22.0, 0.3)), None, "the arm sags as it turns");
-        assert_eq!(standstill.take(stand(6, 30.0, 18.0, 1.5)), None, "poses that are known to 1.5 mm each");
-        assert!(standstill.take(stand(7, 75.0, f64::NAN, 0.3)).is_some(), "NaN is no place");
+        assert_eq!(standstill.words(stand(4, 30.0, 9.0, 0.3)), None, "it is said once");
+        assert_eq!(standstill.words(stand(5, 75.0, 22.0, 0.3)), None, "the arm sags as it turns");
+        assert_eq!(standstill.words(stand(6, 30.0, 18.0, 1.5)), None, "poses that are known to 1.5 mm each");
+        assert!(standstill.words(stand(7, 75.0, f64::NAN, 0.3)).is_some(), "NaN is no place");
     }
 
     #[test]
@@ -197,28 +207,65 @@ mod tests {
         let along =
             |orbital_deg: f64, mm: f64| DVec3::new(orbital_deg.to_radians().sin(), 0.0, orbital_deg.to_radians().cos()) * mm;
         let turned = [0.0, 40.0, -30.0, 75.0, 20.0];
-        let mut sound = Standstill::new(DVec3::ZERO);
+        let mut sound = Standstill::undeclared();
         for (number, deg) in (1..).zip(turned) {
-            assert_eq!(sound.take(at(number, deg, along(deg, 0.3 * f64::from(number % 3)), 0.3)), None);
+            assert_eq!(sound.words(at(number, deg, along(deg, 0.3 * f64::from(number % 3)), 0.3)), None);
         }
-        let words = sound.clone().take(at(6, 55.0, along(55.0, -14.0), 0.3)).expect("2 %");
+        let words = sound.clone().words(at(6, 55.0, along(55.0, -14.0), 0.3)).expect("2 %");
         assert!(words.contains("14 mm nearer") && words.contains("enlarged by 2.0 %"), "{words}");
-        assert_eq!(sound.clone().take(at(6, 55.0, along(55.0, -14.0), 3.0)), None, "depths that are known to 3 mm each");
-        assert_eq!(sound.clone().take(at(6, -160.0, along(-160.0, -14.0), 0.3)), None, "an arm from the other side may sag so");
-        assert!(sound.clone().take(at(6, 55.0, DVec3::NAN, 0.3)).is_some(), "NaN is no place");
+        assert_eq!(sound.clone().words(at(6, 55.0, along(55.0, -14.0), 3.0)), None, "depths that are known to 3 mm each");
+        assert_eq!(sound.clone().words(at(6, -160.0, along(-160.0, -14.0), 0.3)), None, "an arm from the other side may sag so");
+        assert!(sound.clone().words(at(6, 55.0, DVec3::NAN, 0.3)).is_some(), "NaN is no place");
         // At a stand of the session already one frame tells.
-        let words = sound.take(at(6, 75.3, along(75.3, -5.6), 0.3)).expect("0.8 %");
+        let words = sound.words(at(6, 75.3, along(75.3, -5.6), 0.3)).expect("0.8 %");
         assert!(words.contains("frame 4") && words.contains("enlarged by 0.8 %"), "{words}");
 
-        let mut sagging = Standstill::new(DVec3::ZERO);
+        let mut sagging = Standstill::undeclared();
         for (number, (deg, mm)) in (1..).zip(turned.into_iter().zip([0.0, 6.0, 4.0, 11.0, 2.0])) {
-            assert_eq!(sagging.take(at(number, deg, along(deg, mm), 0.3)), None);
+            assert_eq!(sagging.words(at(number, deg, along(deg, mm), 0.3)), None);
         }
-        assert_eq!(sagging.take(at(6, 90.0, along(90.0, 14.0), 0.3)), None, "as far apart as the others");
-        let mut still = Standstill::new(DVec3::ZERO);
+        assert_eq!(sagging.words(at(6, 90.0, along(90.0, 14.0), 0.3)), None, "as far apart as the others");
+        let mut still = Standstill::undeclared();
         for number in 1..6 {
-            still.take(at(number, 0.0, DVec3::ZERO, 0.3));
+            still.words(at(number, 0.0, DVec3::ZERO, 0.3));
         }
-        assert_eq!(still.take(at(6, 90.0, along(90.0, 12.0), 0.3)), None, "all the others from one direction");
+        assert_eq!(still.words(at(6, 90.0, along(90.0, 12.0), 0.3)), None, "all the others from one direction");
+    }
+
+    #[test]
+    fn an_enlargement_cannot_turn_and_what_differs_in_depth_alone_is_the_picture_s() {
+        let mut standstill = Standstill::undeclared();
+        assert_eq!(standstill.take(at(1, 30.0, DVec3::ZERO, 0.3)), None);
+        let mut turned = at(2, 30.0, DVec3::ZERO, 0.3);
+        turned.world_from_lps = Rigid::exp(DVec3::X * 0.5, turned.beam_in_world * -9.0);
+        let said = standstill.clone().take(turned).expect("29 degrees");
+        assert!(!said.of_its_depth && said.words.contains("28.6 degrees") && !said.words.contains("enlarged"), "{}", said.words);
+
+        let enlarged = |number| {
+            let mut stand = at(number, 30.0, DVec3::ZERO, 0.3);
+            stand.world_from_lps = Rigid::translation(stand.beam_in_world * -6.0);
+            stand
+        };
+        let said = standstill.take(enlarged(2)).expect("0.9 %");
+        assert!(said.of_its_depth && said.words.contains("enlarged by 0.9 %"), "{}", said.words);
+        let said = standstill.take(enlarged(2)).expect("posed anew it does not speak for itself");
+        assert!(said.words.contains("than frame 1,"), "{}", said.words);
+        assert!(standstill.take(enlarged(3)).is_some_and(|said| said.words.contains("frame 2 agrees with this one")));
+    }
+
+    /// The first frame had the wrong scale, and that was never said.
+    #[test]
+    fn of_an_earlier_frame_it_is_said_once_when_others_agree() {
+        let mut standstill = Standstill::new(DVec3::ZERO, Some(Rigid::IDENTITY));
+        let wrong = at(1, 0.0, DVec3::new(0.0, 0.0, -6.0), 0.3);
+        assert_eq!(standstill.take(wrong), None, "nothing to hold it against but the session's word");
+        let said = standstill.take(at(2, 12.0, DVec3::ZERO, 0.3)).expect("frame 1 is off");
+        let agree = "frame 2 and world_from_lps of the session agree";
+        assert!(
+            !said.of_its_depth && said.words.contains(agree) && said.words.contains("(frame 1: 6.0 mm nearer"),
+            "{}",
+            said.words
+        );
+        assert_eq!(standstill.take(at(3, -14.0, DVec3::ZERO, 0.3)), None, "once");
     }
 }

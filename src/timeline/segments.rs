@@ -308,10 +308,10 @@ impl DeviceClock {
         if !stepped {
             return None;
         }
-        // A small step must also arrive earlier than the old map allows.
-        let map = &self.segments.back()?.map;
-        let earlier_us = -map.delay_us(now.device_us, now.host_us);
-        let witnessed = unexplained >= CLEAR_STEP_US || earlier_us > 0.5 * unexplained as f64;
+        // A small step must also arrive earlier than the old map allows; what had waited in front of the port does so as well.
+        let segment = self.segments.back()?;
+        let earlier_us = -segment.map.delay_us(now.device_us, now.host_us);
+        let witnessed = unexplained >= CLEAR_STEP_US || (segment.caught_up && earlier_us > 0.5 * unexplained as f64);
         witnessed.then_some(unexplained)
     }
 }

@@ -24,6 +24,8 @@ pub(super) const SID_TOLERANCE_MM: f64 = 6.0;
 /// Sag and an uncalibrated arm explain this much: degrees, mm across, mm in depth.
 const POSE_TOLERANCE: (f64, f64, f64) = (3.0, 18.0, 25.0);
 
+/// A turn about the beam that is within this of whole quarters is one of the picture: degrees.
+const QUARTER_DEG: f64 = 5.0;
 /// An innovation beyond this is a jump.
 const JUMP_SIGMAS: f64 = 5.0;
 
@@ -182,6 +184,23 @@ pub fn pose_difference(from_beads: &Rigid, nominal: &Rigid, centre_lps_mm: DVec3
     }
 }
 
+/// By how many degrees, 90 or 180, the picture is turned about the beam against what telemetry says, as a console turns it; `None` where it is not.
+#[must_use]
+pub fn turned_picture_deg(from_beads: &Rigid, nominal: &Rigid) -> Option<u32> {
+    let turn = nominal.rotation * from_beads.rotation.conjugate();
+    let about_beam_deg = 2.0 * turn.z.atan2(turn.w).to_degrees();
+    let tilt_deg = 2.0 * turn.x.hypot(turn.y).atan2(turn.z.hypot(turn.w)).to_degrees();
+    let quarters = (about_beam_deg / 90.0).round();
+    if !(tilt_deg <= QUARTER_DEG && (about_beam_deg - 90.0 * quarters).abs() <= QUARTER_DEG) {
+        return None;
+    }
+    match quarters.rem_euclid(4.0) as u32 {
+        0 => None,
+        2 => Some(180),
+        _ => Some(90),
+    }
+}
+
 /// Telemetry against the beads; `None` where either has no pose, or nothing says about which point.
 #[must_use]
 pub fn innovation(facts: &ExposureFacts) -> Option<Innovation> {
@@ -228,10 +247,16 @@ fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
         "telemetry puts the specimen {angle_deg:.1} degrees, {across_mm:.0} mm across and {depth_mm:+.0} mm in depth from where the beads are"
     );
     let only_depth = angle_deg <= most_deg && across_mm <= most_across_mm;
-    let remedy = if only_depth {
-        "check the source-to-detector distance and the pitch: a wrong focal length shows as depth"
-    } else {
-        "check world_from_lps, the joints' offsets, and whether specimen or arm was moved"
+    let other = "check world_from_lps, the joints' offsets, and whether specimen or arm was moved";
+    let turned_deg =
+        facts.from_beads.zip(facts.nominal).and_then(|(from_beads, nominal)| turned_picture_deg(from_beads, nominal));
+    let remedy = match turned_deg {
+        _ if only_depth => "check the source-to-detector distance and the pitch: a wrong focal length shows as depth".to_owned(),
+        Some(deg) => format!(
+            "that is a turn about the beam: was the picture turned by {deg} degrees at the console? Turn it back there, or declare `console` \
+             (rotation_deg) in the session; else {other}"
+        ),
+        None => other.to_owned(),
     };
     Some(Finding::warn(TELEMETRY_AND_BEADS, detail, remedy))
 }

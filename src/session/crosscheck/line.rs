@@ -86,7 +86,9 @@ pub fn check_line(
 fn check_joints(ranges: &[Limit], sample: &CarmSample) -> Vec<Finding> {
     let joints = JOINT_KEYS.iter().zip(sample.joints.to_array()).zip(ranges);
     let beyond = joints.filter_map(|(((joint, is_angle), value), range)| {
-        let value = if *is_angle { value.to_degrees() } else { value };
+        // An encoder that counts to 360 means as much by 359 as one that says −1.
+        let whole_turns = |deg: f64| 360.0 * ((deg - 0.5 * (range.min + range.max)) / 360.0).round();
+        let value = if *is_angle { value.to_degrees() - whole_turns(value.to_degrees()) } else { value };
         let slack = RANGE_SLACK * (range.max - range.min);
         // A joint without an encoder, or a range that is none, is not judged.
         let is_beyond = value < range.min - slack || value > range.max + slack;

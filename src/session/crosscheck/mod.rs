@@ -29,7 +29,7 @@ pub(super) use disk::free_bytes;
 pub use disk::{check_disk, refuse_among_frames};
 pub use drift::DriftWatch;
 pub(super) use exposure::TELEMETRY_AND_BEADS;
-pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference};
+pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference, turned_picture_deg};
 pub use finding::{Finding, Level, refusal, tell};
 pub use first_view::{choose_view, first_joints};
 pub use line::{LineWatch, check_line};

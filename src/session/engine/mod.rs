@@ -25,7 +25,7 @@ use super::input::{Input, Output};
 use super::losses::line_losses;
 use super::pictures::{PictureDigest, Pictures};
 use super::posing::{Known, PoseJob, Registered};
-use super::standstill::Standstill;
+use super::standstill::{Contradiction, Standstill};
 use super::studies::Studies;
 use super::tie::SpecimenTie;
 use super::waiting::Waiting;
@@ -107,7 +107,8 @@ impl Engine {
         let tags = setup.tag_layout().map(Arc::new);
         let of_tags = tags.as_ref().map(|tags| tags.centre_lps_mm());
         let centre = layout.as_ref().map(|layout| layout.centroid_lps_mm()).or(of_tags).unwrap_or_default();
-        let tie = SpecimenTie::new(rigid(setup.session.world_from_lps), centre);
+        let declared = rigid(setup.session.world_from_lps);
+        let tie = SpecimenTie::new(declared, centre);
         let world_from_tracker = rigid(setup.session.world_from_tracker);
         let present: Vec<DeviceKind> = setup.devices().collect();
         let links = present.iter().map(|device| (*device, setup.link(*device))).collect();
@@ -123,7 +124,7 @@ impl Engine {
             hearing: Hearing::new(present),
             timeline,
             tie,
-            standstill: Standstill::new(centre),
+            standstill: Standstill::new(centre, declared),
             drift: DriftWatch::default(),
             world_from_tracker,
             binder: Binder::default(),
@@ -304,8 +305,9 @@ impl Engine {
             self.reporter.warn("check: telemetry and beads", format!("{}: {found}", posed.label()));
             posed.warnings.push(found.to_string());
         }
-        if let Some(words) = self.standstill.observe(&posed, world_from_lps) {
+        if let Some(Contradiction { words, of_its_depth }) = self.standstill.observe(&posed, world_from_lps) {
             self.reporter.warn("specimen moved", format!("{}: {words}", posed.label()));
+            posed.other_depth = of_its_depth.then(|| words.clone());
             posed.warnings.push(words);
         }
         let posed = match world_from_lps {

@@ -97,6 +97,8 @@ mod tests {
         let base = word(1, 2, 3, Purpose::QuantumNoise);
         for other in [
             word(9, 2, 3, Purpose::QuantumNoise),
+            // Beyond 32 bits.
+            word(1 + (1 << 32), 2, 3, Purpose::QuantumNoise),
             word(1, 9, 3, Purpose::QuantumNoise),
             word(1, 2, 9, Purpose::QuantumNoise),
             word(1, 2, 3, Purpose::ReadoutNoise),

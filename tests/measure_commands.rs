@@ -75,6 +75,11 @@ fn what_cannot_be_timed_is_refused() {
         assert!(ran.status.code() == Some(1) && stderr.contains("expected a positive number"), "{error}: {stderr}");
         assert!(ran.stdout.is_empty(), "{error}");
     }
+    // As `render` refuses it; it was timed at the bound that there is.
+    let ran = sidecarm(folder.path(), &["time", "scene.json", "--repeat", "1", "--max-error", "1e-9"]);
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.code() == Some(1) && stderr.contains("--max-error 1e-9: the plan's bound is"), "{stderr}");
+    assert!(stderr.contains("render --reference") && ran.stdout.is_empty(), "{stderr}");
     std::fs::write(folder.path().join("views.json"), "[]").expect("writes");
     let empty = sidecarm(folder.path(), &["time", "scene.json", "--views", "views.json"]);
     let stderr = String::from_utf8_lossy(&empty.stderr);
@@ -89,7 +94,11 @@ fn what_cannot_be_timed_is_refused() {
 #[test]
 fn a_trade_judges_pixels_between_those_that_were_cast() {
     let folder = folder();
-    let trade = printed(&sidecarm(folder.path(), &["trade", "scene.json", "--out", "trade", "--json"]));
+    let ran = sidecarm(folder.path(), &["trade", "scene.json", "--out", "trade", "--json"]);
+    let trade = printed(&ran);
+    // Progress names the sampling as the table does, not as the program calls it.
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(stderr.contains(" energies, step 1: ") && !stderr.contains("Exact") && !stderr.contains("None"), "{stderr}");
     let rows = trade["rows"].as_array().expect("rows");
     let error = |row: &Value| row["achieved"]["error"].as_f64().expect("an error");
     let best = |step: u64| {

@@ -6,6 +6,7 @@ use glam::{DAffine3, DQuat, DVec2, DVec3};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::render::{Options, Quantity, Renderer};
 use sidecarm::reporter::Reporter;
+use sidecarm::scene::Scene;
 use sidecarm::scene::model::{Formation, Matter, Response, Shape, Solid};
 use sidecarm::scene::physics::{Material, Spectrum};
 
@@ -291,4 +292,26 @@ fn an_empty_image_says_why() {
     let notes = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity).notes;
     assert!(notes.iter().any(|note| note.contains("RAS and LPS")), "{notes:?}");
     assert_eq!(cases, 5);
+}
+
+/// Behind a metre of steel the intensity is 0 in a f32, the line integral is not: the zeros were silent.
+#[test]
+fn intensities_too_small_for_a_float_are_counted() {
+    let behind = |half_mm: f64| {
+        let plate = cuboid(DVec3::new(0.0, 0.0, 600.0), DVec3::new(900.0, 900.0, half_mm), 0, 8.0);
+        empty(&["steel_316l"]).with(solids(&[plate]))
+    };
+    let said = |scene: &Scene, quantity: Quantity| {
+        let reporter = Reporter::silent();
+        let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("a renderer");
+        let rendered = renderer.render(scene, &Options { quantity, ..Options::default() }).expect("an image");
+        let zeros = rendered.pages[0].pixels.iter().filter(|value| **value == 0.0).count();
+        let words = format!("{zeros} pixels are 0 because their intensity is below the smallest 32-bit float");
+        let said = reporter.warnings().get("underflow").map(|counted| counted.latest.clone());
+        (zeros, said.is_some_and(|said| said.starts_with(&words) && rendered.notes.contains(&said)))
+    };
+    assert_eq!(said(&behind(10.0), Quantity::Intensity), (0, false), "the control");
+    let (zeros, warned) = said(&behind(500.0), Quantity::Intensity);
+    assert!(zeros > 0 && warned, "{zeros} zeros");
+    assert_eq!(said(&behind(500.0), Quantity::LineIntegral), (0, false));
 }

@@ -214,3 +214,22 @@ fn what_makes_numbers_wrong_is_not_compared() {
         assert_eq!(compared(0.0, air).expect("another exposure, or a thick patient"), 0);
     }
 }
+
+/// What was warned of while the scene was loaded was lost to who reads the JSON.
+#[test]
+fn what_is_said_of_the_scene_stands_beside_the_image() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (scene, out) = (folder.path().join("air.json"), folder.path().join("drr.tif"));
+    let mut cases = 0;
+    for (material, said) in [("steel_316l", false), ("air", true)] {
+        std::fs::write(&scene, SCENE.replace("steel_316l", material)).expect("writes");
+        let [scene, out] = [&scene, &out].map(|path| path.display().to_string());
+        let typed = Typed::parse_from(["render", &scene, "--out", &out, "--device", "cpu"]);
+        assert_eq!(run(&typed.args, &Reporter::silent()).expect("renders"), 0);
+        let text = std::fs::read_to_string(folder.path().join("drr.tif.json")).expect("beside it");
+        let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        assert_eq!(json["notes"].to_string().contains("displaces nothing"), said, "{}", json["notes"]);
+        cases += 1;
+    }
+    assert_eq!(cases, 2);
+}

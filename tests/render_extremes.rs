@@ -8,7 +8,7 @@ use sidecarm::gpu::DeviceChoice;
 use sidecarm::render::reference::trace;
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::model::{Matter, Noise, Response, Shape};
+use sidecarm::scene::model::{Matter, Mesh, Noise, Response, Shape};
 use sidecarm::scene::physics::{Material, Spectrum};
 use sidecarm::scene::{self, Scene};
 
@@ -257,4 +257,35 @@ fn a_poisoned_volume_is_counted_pass_by_pass() {
     let text = std::fs::read_to_string(folder.path().join("drr.tif.json")).expect("beside it");
     let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     assert!(json["non_finite"]["integrate_density"].as_u64().expect("a count") > 0, "{json}");
+}
+
+/// A focal spot exactly on a corner, an edge or a face of a mesh: at a corner the fast path lost the mesh to a quarter of the rays, by up to 17.5
+/// nepers, in silence.
+#[test]
+fn a_source_on_a_mesh_loses_nothing_of_it() {
+    let corner = |n: usize| DVec3::new((n & 1) as f64, (n >> 1 & 1) as f64, (n >> 2) as f64) * 40.0;
+    let quads = [[0u32, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let cube: Vec<[u32; 3]> = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    let tetrahedron = vec![[0u32, 2, 1], [0, 1, 4], [0, 4, 2], [1, 2, 4]];
+    // No face holds a ray, and rays run along x as well, by which corners are ordered.
+    let lps_from_camera = DQuat::from_scaled_axis(DVec3::new(-0.83, 0.91, 0.17));
+    let (mut executors, mut cases, mut deep) = (executors(), 0, 0);
+    for triangles in [cube, tetrahedron] {
+        let [a, b, c] = triangles[0].map(|index| corner(index as usize));
+        for source in [a, b, c, a.midpoint(b), b.lerp(c, 0.25), (a + b + c) / 3.0] {
+            let vertices_lps_mm = (0..8).map(|n| corner(n) - source).collect();
+            let mesh = Mesh { vertices_lps_mm, triangles: triangles.clone(), material: 0, density_g_per_cm3: 1.0 };
+            let mut scene = small(empty(&["water"]).with(Matter::Mesh(Arc::new(mesh))));
+            // Rays to all sides.
+            let view = scene.view.as_mut().expect("has one");
+            view.camera_from_lps.rotation = lps_from_camera.inverse();
+            let narrower = view.intrinsics.fx / 10.0;
+            (view.intrinsics.fx, view.intrinsics.fy) = (10.0, 10.0);
+            scene.detector.pitch_mm *= narrower;
+            let line = judge(&format!("source at {source}"), &scene, &mut executors);
+            deep += line.iter().filter(|line| **line > 0.1).count();
+            cases += 1;
+        }
+    }
+    assert!(cases == 12 && deep > 1500, "{deep} rays through the meshes in {cases} cases");
 }

@@ -141,6 +141,9 @@ impl From<DeviceArg> for DeviceChoice {
     }
 }
 
+/// Kinds of warnings about the scene that bear on every pixel's meaning.
+const OF_THE_SCENE: [&str; 2] = ["air displaces nothing", "objects"];
+
 /// Why nothing was rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderCommandError {
@@ -310,6 +313,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     for note in rendered.notes.iter().filter(|note| !warned.values().any(|warning| warning.latest == **note)) {
         reporter.note(format_args!("note: {note}"));
     }
+    // What was said before there was an image belongs to it as well.
+    rendered.notes.extend(OF_THE_SCENE.iter().filter_map(|kind| warned.get(*kind)).map(|warning| warning.latest.clone()));
     if let Some(counts) = rendered.non_finite.filter(|counts| counts.total() > 0) {
         reporter.warn("not finite", format_args!("{}: values that are not finite: {counts:?}", args.out.display()));
     }

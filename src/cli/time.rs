@@ -11,6 +11,7 @@ use crate::cli::time_changes;
 use crate::estimate::median;
 use crate::foreign::read_small;
 use crate::geometry::{self, Rigid};
+use crate::render::plan::Executor;
 use crate::render::{Goal, Options, RenderError, Renderer};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
@@ -70,6 +71,18 @@ pub enum TimeError {
         /// As typed.
         value: f64,
     },
+    /// What was asked for cannot be promised.
+    #[error("--max-error {wanted:e}: the plan's bound is {stated:.1e} on {adapter}{advice}")]
+    Bound {
+        /// As typed.
+        wanted: f64,
+        /// What the plan states.
+        stated: f64,
+        /// Device.
+        adapter: String,
+        /// What comes closer.
+        advice: &'static str,
+    },
     /// The list of views.
     #[error("{}: {detail}; expected a list of 4x4 rigid matrices camera_from_lps", path.display())]
     Views {
@@ -99,7 +112,7 @@ struct View {
 /// Times and prints; 0 on success.
 ///
 /// # Errors
-/// When the scene or a view is wrong.
+/// When the scene or a view is wrong, or the error cannot be promised.
 pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
     if !(args.max_error > 0.0 && args.max_error.is_finite()) {
         return Err(TimeError::MaxError { value: args.max_error });
@@ -161,10 +174,15 @@ fn together(
     Ok(f64::from(images) / watch.ms() * 1e3)
 }
 
-fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, RenderError> {
+fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, TimeError> {
     let options = options(args);
     let mut planning = StageTimes::default();
     let plan = renderer.plan_timed(scene, &options, &mut planning)?;
+    if !(args.max_error >= plan.stated_error) {
+        let does = plan.executor == Executor::Wgsl && args.max_error >= Executor::Cpu.stated_error();
+        let advice = if does { "; --device cpu reaches 5e-6" } else { "; only `sidecarm render --reference` is closer" };
+        return Err(TimeError::Bound { wanted: args.max_error, stated: plan.stated_error, adapter: renderer.adapter(), advice });
+    }
     let booked = |stage: &str| planning.get(stage).unwrap_or(0.0);
     let (plan_ms, calibrate_ms) = (booked("plan"), booked("calibrate"));
     let fixed = Options { plan: (!args.replan).then(|| plan.clone()), ..options };

@@ -309,20 +309,25 @@ fn air_report(
 fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, signal: bool) -> AirReport {
     let open = simulated.map(|&l| l < OPEN_AIR_NEPERS);
     let deep = erode(&open, OPEN_AIR_MARGIN);
-    let mut values: Vec<f32> = (0..pixels.pixels.len())
-        .filter(|&at| deep.pixels[at] && usable.pixels[at] && pixels.pixels[at].is_finite())
-        .map(|at| pixels.pixels[at])
-        .collect();
+    let is_open = |at: &usize| deep.pixels[*at] && pixels.pixels[*at].is_finite();
+    let (seen, masked): (Vec<usize>, Vec<usize>) = (0..pixels.pixels.len()).filter(is_open).partition(|at| usable.pixels[*at]);
+    let mut values: Vec<f32> = seen.into_iter().map(|at| pixels.pixels[at]).collect();
     let count = values.len();
     if count < OPEN_AIR_PIXELS {
+        let why = masked_words(pixels, &masked, signal);
         return unknown_air(&format!(
-            "{count} usable pixels are open air according to the simulation, {OPEN_AIR_PIXELS} are needed; measure it without specimen and say it (--air, a session's \"air_level\")"
+            "{count} usable pixels are open air according to the simulation{why}, {OPEN_AIR_PIXELS} are needed; measure it without specimen and say it (--air, a session's \"air_level\")"
         ));
     }
     let Some((level, spread)) = median_and_spread(&mut values) else {
         return unknown_air("no open air");
     };
-    if signal && !(level > 0.0 && spread <= OPEN_AIR_SPREAD * level) {
+    if signal && !(level > 0.0) {
+        return unknown_air(&format!(
+            "the {count} pixels that the simulation predicts to be open air hold no signal in the frame (median {level}): is it inverted, or are pose or field wrong?"
+        ));
+    }
+    if signal && !(spread <= OPEN_AIR_SPREAD * level) {
         return unknown_air(&format!(
             "the {count} pixels that the simulation predicts to be open air vary by {:.0} % in the frame (limit {:.0} %): pose or field disagree",
             100.0 * spread / level,
@@ -331,4 +336,43 @@ fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, s
     }
     let spread = if signal { spread / level } else { spread };
     AirReport { rule: "open".into(), level: Some(level), pixels: Some(count), spread: Some(spread), reason: None, offset: None }
+}
+
+/// What to add where pixels that should be open air are masked: how many, and how many of those hold the frame's brightest value.
+fn masked_words(pixels: &Image<f32>, masked: &[usize], signal: bool) -> String {
+    if masked.is_empty() {
+        return String::new();
+    }
+    // Nepers fall with the signal.
+    let brightness = |at: usize| if signal { pixels.pixels[at] } else { -pixels.pixels[at] };
+    let brightest = (0..pixels.pixels.len()).map(brightness).filter(|value| value.is_finite()).fold(f32::NEG_INFINITY, f32::max);
+    let at_end = masked.iter().filter(|at| brightness(**at) >= brightest).count();
+    let saturated =
+        if at_end > 0 { format!(", {at_end} of them at the frame's brightest value: saturated?") } else { String::new() };
+    format!(" ({} more are masked{saturated})", masked.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image<T: Clone>(value: T) -> Image<T> {
+        Image { width: 40, height: 40, pixels: vec![value; 1600] }
+    }
+
+    /// A frame saturated in open air was said to have none; an inverted one, 0 in open air, to "vary by NaN %".
+    #[test]
+    fn open_air_that_is_saturated_or_dark_is_said_to_be_that() {
+        let said = |value: f32, usable: bool| {
+            let report = open_air(&image(value), &image(0.0), &image(usable), true);
+            (report.level, report.reason.unwrap_or_default())
+        };
+        assert_eq!(said(900.0, true), (Some(900.0), String::new()), "the control");
+        let (level, words) = said(65535.0, false);
+        assert!(level.is_none() && words.starts_with("0 usable pixels") && words.contains("saturated?"), "{words}");
+        assert!(words.contains(" more are masked, ") && words.contains(" of them at the frame's brightest value"), "{words}");
+        let (level, words) = said(0.0, true);
+        assert!(level.is_none() && words.contains("hold no signal") && words.contains("inverted"), "{words}");
+        assert!(!words.contains("NaN"), "{words}");
+    }
 }

@@ -87,6 +87,31 @@ const SATURATED_SHARE: f64 = 0.01;
 /// Where a gain that fits puts the unattenuated signal, of the highest count.
 const AIR_SHARE: f64 = 0.9;
 
+/// Line integrals beyond which a f32 holds no intensity to full precision: its smallest normal number is e^-87.3, the smallest of all e^-103.3.
+const UNDERFLOW_NEPERS: f32 = 87.0;
+
+/// Says how many intensities are 0 although light comes through, too little for a f32; the note again. Under noise such a pixel is 0 as it should be.
+pub(super) fn note_underflowed(
+    quantity: Quantity,
+    page: &[f32],
+    line_integral: &[f32],
+    is_noisy: bool,
+    notes: &mut Vec<String>,
+) -> Option<String> {
+    if quantity != Quantity::Intensity || is_noisy {
+        return None;
+    }
+    // Behind closed blades the line integral is infinite.
+    let is_lost = |(value, line): &(&f32, &f32)| **value == 0.0 && **line > UNDERFLOW_NEPERS && line.is_finite();
+    let lost = page.iter().zip(line_integral).filter(is_lost).count();
+    let words =
+        format!("{lost} pixels are 0 because their intensity is below the smallest 32-bit float: line_integral holds them");
+    (lost > 0).then(|| {
+        notes.push(words.clone());
+        words
+    })
+}
+
 /// Says how many counts are clipped, where `counts` are made. The note again where so many are saturated that a person should be warned.
 pub(super) fn note_clipped(
     scene: &Scene,

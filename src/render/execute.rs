@@ -181,13 +181,18 @@ impl Renderer {
                 if let Some(counts) = &mut non_finite {
                     counts.add_noise += non_finite::count(&noise);
                 }
-                let page = stages.measure("detect", || {
+                let (page, underflowed) = stages.measure("detect", || {
                     let mut line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
                     if let Some(intensifier) = &intensifier {
                         intensifier::veil(intensifier, &mut line, &mut noise, &mut flood);
                     }
-                    detector::page(scene, plan.quantity, &line, &noise, &flood)
+                    let page = detector::page(scene, plan.quantity, &line, &noise, &flood);
+                    let underflowed = chain::note_underflowed(plan.quantity, &page, &line, !noise.is_empty(), &mut notes);
+                    (page, underflowed)
                 });
+                if let Some(words) = underflowed.filter(|_| !options.beside) {
+                    self.reporter.warn("underflow", words);
+                }
                 if let Some(words) = chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes) {
                     self.reporter.warn("saturated", words);
                 }

@@ -97,8 +97,8 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
         }
         let achieved = judged.judge(&pixels, ms);
         reporter.note(format_args!(
-            "{:?}, {} energies, step {}: {:.1} ms, error {:.1e}",
-            plan.sampling,
+            "{}, {} energies, step {}: {:.1} ms, error {:.1e}",
+            sampling_name(plan.sampling),
             plan.energy_nodes.len(),
             plan.step_px,
             ms,
@@ -284,12 +284,17 @@ impl Trade {
 
 impl Row {
     fn name(&self) -> &'static str {
-        match self.sampling {
-            Sampling::ExactSlabs => "exact in slabs",
-            Sampling::FixedSlabs => "in slabs, fixed point",
-            Sampling::ExactCells => "exact, cell by cell",
-            Sampling::PiecewiseConstant => "piecewise constant",
-            Sampling::None => "no volume",
-        }
+        sampling_name(self.sampling)
+    }
+}
+
+/// As tables have it.
+fn sampling_name(sampling: Sampling) -> &'static str {
+    match sampling {
+        Sampling::ExactSlabs => "exact in slabs",
+        Sampling::FixedSlabs => "in slabs, fixed point",
+        Sampling::ExactCells => "exact, cell by cell",
+        Sampling::PiecewiseConstant => "piecewise constant",
+        Sampling::None => "no volume",
     }
 }

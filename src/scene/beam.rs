@@ -14,6 +14,9 @@ use crate::reporter::Reporter;
 
 /// N₀ where the scene gives none: the paper's.
 const PHOTONS_PER_PIXEL: f64 = 5e5;
+/// Largest N₀. Neighbouring f32 are 2¹⁶ apart there, a fifteenth of the noise √N₀ = 10⁶: rounding adds 2³²/12/N₀ < 0.04 % to its variance. At 10¹⁵
+/// they are 2²⁶ apart, twice the noise.
+const MOST_PHOTONS: f64 = 1e12;
 /// Anode angle where the scene gives none.
 const ANODE_ANGLE_DEG: f64 = 12.0;
 
@@ -56,11 +59,11 @@ pub(super) fn beam(file: &BeamFile, files: &mut Files, reporter: &Reporter) -> R
     let spectrum = spectrum.map_err(|source| SceneError::Physics { place: files.place(key), source })?;
     let photons_per_pixel = file.photons_per_pixel.unwrap_or(PHOTONS_PER_PIXEL);
     check(
-        photons_per_pixel > 0.0 && photons_per_pixel <= 1e15,
+        photons_per_pixel > 0.0 && photons_per_pixel <= MOST_PHOTONS,
         files,
         "beam.photons_per_pixel",
         photons_per_pixel,
-        "above 0, at most 1e15",
+        "above 0, at most 1e12: of more, 32-bit floats round away the noise",
     )?;
     let shape = beam_shape(file, file.anode_angle_deg.unwrap_or(ANODE_ANGLE_DEG), files)?;
     Ok(Beam { spectrum, photons_per_pixel, shape })
@@ -72,7 +75,7 @@ pub(super) fn detector(file: &DetectorFile, files: &mut Files) -> Result<Detecto
         check(pitch_mm > 0.0 && pitch_mm <= 100.0, files, "detector.pitch_mm", pitch_mm, "above 0, at most 100 mm")?;
     }
     let gain = file.gain.unwrap_or(1.0);
-    // Counts are written as 32-bit floats: at most 1e15 photons of 150 keV, times gain.
+    // Counts are written as 32-bit floats: at most 1e12 photons of 150 keV, times gain.
     check(gain > 0.0 && gain <= 1e12, files, "detector.gain", gain, "above 0, at most 1e12")?;
     let offset = file.offset.unwrap_or(0.0);
     check(offset.abs() <= 1e12, files, "detector.offset", offset, "between -1e12 and 1e12")?;

@@ -57,6 +57,14 @@ impl Builder<'_> {
                 .nominal_density_or(GIVE_DENSITY)
                 .map_err(|source| SceneError::Physics { place: self.place(key), source })?,
         };
+        // Before anything else there is nothing to cut.
+        if material.name == "air" && !self.scene.objects.is_empty() {
+            let words = format_args!(
+                "{} is air, which displaces nothing; to cut a hole give it \"material\": \"N2\", \"density_g_per_cm3\": 0.0012",
+                self.place(key)
+            );
+            self.reporter.warn("air displaces nothing", words);
+        }
         Ok((self.scene.material_index(material), density))
     }
 

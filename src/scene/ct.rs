@@ -64,6 +64,9 @@ impl Builder<'_> {
             ));
         }
         let inpainted = self.without_beads(&mut ct, balls);
+        if let Some(words) = hounsfield::metal(&ct.values) {
+            self.reporter.note(format_args!("{}: {words}", path.display()));
+        }
         // Materials are numbered apart first: only those that have voxels enter the scene.
         let mut local = Vec::new();
         let air = match file.air {

@@ -23,6 +23,8 @@ const NOTHING_HU: f32 = -1200.0;
 const DEEP_HU: usize = 1600;
 /// Above bone and what twelve bits hold with an intercept of -1024.
 const TWELVE_BITS_HU: f32 = 3071.0;
+/// So many voxels at that end are no accident.
+const MANY_CLIPPED: usize = 20;
 /// Values below [`NOTHING_HU`] are counted by whole numbers down to this; those below count as one.
 const LOWEST_HU: usize = 1 << 16;
 /// Voxels that are counted at once.
@@ -176,6 +178,24 @@ pub(super) fn heard(ct: &VolumeFile) -> Heard {
     Heard { highest_hu: high, doubts, note }
 }
 
+/// What to say of voxels beyond the twelve bits of most scanners, or many at their end: metal, which the density curve takes for bone.
+#[must_use]
+pub(super) fn metal(values: &[f32]) -> Option<String> {
+    let above = values.par_iter().filter(|value| **value > TWELVE_BITS_HU).count();
+    let at_end = values.par_iter().filter(|value| **value == TWELVE_BITS_HU).count();
+    if above > 0 {
+        let highest = values.par_iter().copied().reduce(|| f32::NEG_INFINITY, f32::max);
+        let density = DensityCurve::shipped().density_g_per_cm3(f64::from(highest));
+        return Some(format!(
+            "{above} voxels are above {TWELVE_BITS_HU} HU (up to {highest}), as metal is; without labels they count as bone, of up to {density:.1} \
+             g/cm3: metal as an object of its own displaces them"
+        ));
+    }
+    (at_end >= MANY_CLIPPED).then(|| {
+        format!("{at_end} voxels are at {TWELVE_BITS_HU} HU, where scanners clip: metal there is denser than its number says, and counts as bone")
+    })
+}
+
 /// What to say of many values where no matter is. One or two are padding, and what lies between padding and matter an interpolation left at
 /// its edge: fewer voxels than the padding has, and air stays where it is.
 fn damage(below: &Below, spread: &Spread, voxels: usize) -> Option<String> {
@@ -291,6 +311,17 @@ mod tests {
         assert_eq!(note(&air(-1000.0)), None, "the control");
         assert_eq!(note(&air(-1300.0)), None, "not known to be padding");
         assert_eq!(note(&|n| if n.is_multiple_of(3) { -3024.0 } else { hu(n) }), None, "air beside padding");
+    }
+
+    /// 30000 HU were taken for bone of 16.7 g/cm3 without a word.
+    #[test]
+    fn metal_is_said_and_bone_is_not() {
+        let with = |value: f32, count: usize| metal(&(0..512).map(|n| if n < count { value } else { hu(n) }).collect::<Vec<_>>());
+        assert_eq!((with(3070.0, 100), with(3071.0, 5)), (None, None), "the controls");
+        let words = with(30000.0, 3).expect("said");
+        assert!(words.starts_with("3 voxels are above 3071 HU (up to 30000)") && words.contains("16.7 g/cm3"), "{words}");
+        let words = with(3071.0, 100).expect("said");
+        assert!(words.starts_with("100 voxels are at 3071 HU, where scanners clip"), "{words}");
     }
 
     #[test]

@@ -137,7 +137,16 @@ mod tests {
             (tags.primary_deg, tags.secondary_deg) = (Some(30.0), Some(-5.0));
             tags.collimator = Some(CollimatorTags { edges_px: Some([1.0, 2.0, 60.0, 40.0]), ..CollimatorTags::default() });
             tags.display_shutter = Some(CollimatorTags { corners_px: vec![[1.0; 2]; 3], ..CollimatorTags::default() });
-            Seen { frame, intrinsics: own, prior: None, pitch_mm: None, turn_rad: 0.0, off_pitch: None, notes: Vec::new() }
+            Seen {
+                frame,
+                intrinsics: own,
+                is_k_of_header: false,
+                prior: None,
+                pitch_mm: None,
+                turn_rad: 0.0,
+                off_pitch: None,
+                notes: Vec::new(),
+            }
         };
         let words = |path: Option<&str>, own: Option<Intrinsics>| {
             let told = told(path.map(Path::new), &seen(own), &Masks::default());

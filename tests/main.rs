@@ -34,6 +34,7 @@ mod attach_command;
 mod bad_input;
 mod binding;
 mod binding_cases;
+mod binding_claims;
 mod binding_days;
 mod binding_draw;
 mod binding_images;

@@ -181,7 +181,12 @@ impl Weighed<'_> {
                 self.of(*at, BindingHow::Counter, words, false)
             }
             _ => {
-                words.push("counter and arrival do not name one exposure".to_owned());
+                let said = &self.pending.evidence;
+                let says_nothing = said.counter.is_none() && said.console_us.is_none() && said.arrival_us.is_none();
+                words.push(match says_nothing {
+                    true => "no time and no counter in this picture: nothing ties it".to_owned(),
+                    false => "counter and arrival do not name one exposure".to_owned(),
+                });
                 none(words)
             }
         }

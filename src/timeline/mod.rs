@@ -32,6 +32,7 @@ mod track;
 mod travel;
 mod zone;
 
+pub use arrival::TOO_FEW_AGREE;
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;

@@ -11,6 +11,12 @@ pub struct ConsoleZone {
 }
 
 impl ConsoleZone {
+    /// The zone, where a file states one: minutes east of UTC.
+    #[must_use]
+    pub fn minutes(self) -> Option<i32> {
+        self.offset_min
+    }
+
     /// What a frame with these tags says, in the one zone.
     #[must_use]
     pub fn steady(&mut self, tags: &FrameTags, evidence: FrameEvidence) -> FrameEvidence {

@@ -195,6 +195,23 @@ fn damage_anywhere_neither_panics_nor_passes_unsaid() {
     assert!(said > flips / 4 && flips > 500, "{said} of {flips}");
 }
 
+/// It said that openings are counted from 1; the first is 0 in every log.
+#[test]
+fn the_layout_of_raw_bytes_in_a_log_says_from_where_openings_are_counted() {
+    let folder = tempfile::tempdir().expect("folder");
+    let bytes = std::fs::read(recorded(folder.path())).expect("bytes");
+    let mut told = 0;
+    for message in mcap::MessageStream::new(&bytes).expect("a log") {
+        let channel = message.expect("a message").channel;
+        if let Some(schema) = channel.schema.as_ref().filter(|schema| schema.name == "sidecarm.RawBytes") {
+            let layout = String::from_utf8_lossy(&schema.data).into_owned();
+            assert!(layout.contains("counts the openings of the serial line, starting at 0"), "{layout}");
+            told += 1;
+        }
+    }
+    assert_eq!(told, 2);
+}
+
 /// A chunk as other programs write it, of one byte packed with lz4.
 fn chunk_of_lz4() -> Vec<u8> {
     let head =

@@ -133,6 +133,41 @@ fn a_regular_rhythm_leaves_the_clock_unknown_and_nothing_is_guessed() {
     assert_eq!(code, Some(3), "{words}");
     let tied = json["frames"].as_array().expect("frames").iter().filter(|frame| !frame["binding"]["exposure"].is_null()).count();
     assert_eq!((tied, &json["console"]), (0, &Value::Null), "{json:#}");
+    let ran = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("attach").arg(&log).arg(&exported).output().expect("it starts");
+    let told = String::from_utf8_lossy(&ran.stdout).into_owned();
+    assert!(told.contains("too few frames agree") && told.contains("name all frames of the session at once"), "{told}");
+}
+
+/// The zone of a console in India stood in its clock's error, which was so many seconds, less than none, behind the host's; and of a picture without
+/// a header counter and arrival, of which it had none, did not agree.
+#[test]
+fn a_stated_zone_is_no_error_of_the_clock_and_a_picture_that_says_nothing_is_said_to() {
+    let folder = tempfile::tempdir().expect("folder");
+    let starts_s = irregular();
+    let log = log(folder.path(), &starts_s);
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    // Five and a half hours and 22 s ahead: the time of the zone, written with it.
+    for (index, start_s) in starts_s.iter().enumerate().take(20) {
+        let name = format!("img{index:03}.dcm");
+        export(&exported, &name, *start_s, -19_822.0, index as u16);
+        let path = exported.join(name);
+        let mut object = dicom_object::open_file(&path).expect("a DICOM file");
+        object.put(DataElement::new(tags::TIMEZONE_OFFSET_FROM_UTC, VR::SH, PrimitiveValue::from("+0530")));
+        object.write_to_file(&path).expect("written");
+    }
+    image::GrayImage::from_fn(40, 30, |x, y| image::Luma([(7 * x + 3 * y) as u8]))
+        .save(exported.join("shot.png"))
+        .expect("written");
+    let ran = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("attach").arg(&log).arg(&exported).output().expect("it starts");
+    let told = String::from_utf8_lossy(&ran.stdout).into_owned();
+    let clock = told.lines().find(|line| line.starts_with("console clock: ")).unwrap_or_default();
+    assert!(clock.contains("s ahead of the host's in its zone, UTC+05:30, from "), "{told}");
+    let ahead_s: f64 = clock["console clock: ".len()..].split(' ').next().and_then(|s| s.parse().ok()).expect("seconds");
+    assert!((ahead_s - 22.0).abs() < 1.0, "{told}");
+    assert_eq!(told.matches("no time and no counter in this picture: nothing ties it").count(), 1, "{told}");
+    let (_, json, _) = attach(&log, &exported, &[]);
+    assert_eq!(json["console_zone_min"], 330, "{json:#}");
 }
 
 /// Where the console keeps the time, six exposures in an even rhythm and their six frames leave one reading; a frame less, and there are two.

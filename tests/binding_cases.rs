@@ -68,6 +68,7 @@ pub fn played_at(
             arrival_us: arrival_s.is_finite().then(|| us(*arrival_s)),
             frame_time_us: None,
             image_times_us: Vec::new(),
+            stated_length_us: None,
             last_image: false,
             completes: None,
         },

@@ -283,6 +283,7 @@ fn session(
             arrival_us: Some(T0_US + us(arrival_s)),
             frame_time_us: None,
             image_times_us: Vec::new(),
+            stated_length_us: None,
             last_image: false,
             completes: None,
         };

@@ -35,6 +35,7 @@ fn played(exposures_s: &[(f64, f64)], truths: &[Truth], times_s: &[f64], frame_t
             arrival_us: Some(us(arrival_s)),
             frame_time_us: frame_time_s.map(|s| (s * 1e6) as i64),
             image_times_us: times_s.iter().map(|s| (s * 1e6) as i64).collect(),
+            stated_length_us: None,
             last_image: false,
             completes: None,
         },

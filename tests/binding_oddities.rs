@@ -218,6 +218,7 @@ pub fn odd_session(seed: u64, oddity: Oddity) -> Session {
             arrival_us: Some(T0_US + us(picture.arrival_s)),
             frame_time_us: None,
             image_times_us: Vec::new(),
+            stated_length_us: None,
             last_image: false,
             completes: None,
         },

@@ -317,6 +317,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
                 arrival_us: Some(T0_US + us(at_s)),
                 frame_time_us: None,
                 image_times_us: Vec::new(),
+                stated_length_us: None,
                 last_image: false,
                 completes: None,
             },

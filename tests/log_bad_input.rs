@@ -235,6 +235,14 @@ fn records(bytes: &[u8], opcode: u8) -> Vec<(usize, usize)> {
     found
 }
 
+/// The help named LOG.replay; of session.mcap the folder is session.replay.
+#[test]
+fn the_help_of_a_replay_names_the_folder_that_it_writes() {
+    let told = sidecarm(&["replay", "--help"]);
+    let words = told.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("session.replay for session.mcap") && !words.contains("LOG.replay"), "{words}");
+}
+
 #[test]
 fn chunks_that_changed_places_are_a_fault() {
     let folder = tempfile::tempdir().expect("a folder");

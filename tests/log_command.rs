@@ -125,6 +125,27 @@ fn a_whole_log_is_whole_and_each_change_is_a_fault_with_its_place() {
     assert_eq!(seen, 7);
 }
 
+/// Such a log was whole, and replayed to other poses without a word of the reason.
+#[test]
+fn a_log_that_was_put_in_order_of_time_is_no_whole_log() {
+    let Some(session) = recorded() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("by-time.mcap");
+    let bytes = std::fs::read(&session.logs[0]).expect("the log");
+    let messages = mcap::MessageStream::new(&bytes).expect("a log").map(|message| message.expect("a message"));
+    let mut messages: Vec<mcap::Message> = messages.collect();
+    messages.sort_by_key(|message| message.log_time);
+    let mut writer = mcap::Writer::new(std::fs::File::create(&out).expect("file")).expect("a log");
+    messages.iter().for_each(|message| writer.write(message).expect("written"));
+    writer.finish().expect("finished");
+    let ran = sidecarm(&["log", "verify", text(&out)]);
+    assert_eq!(ran.code, Some(3), "{}{}", ran.stdout, ran.stderr);
+    assert!(ran.stdout.contains("messages are not in the order in which they were recorded"), "{}", ran.stdout);
+    let (code, replayed) = replay(&out, &session.kit, &folder.path().join("replayed"));
+    assert_eq!(code, Some(3), "{replayed:#}");
+    assert!(replayed["losses"].to_string().contains("replay the original"), "{replayed:#}");
+}
+
 #[test]
 fn logs_of_one_session_join_and_replay_as_each_alone() {
     let Some(session) = recorded() else { return };

@@ -195,6 +195,59 @@ fn damage_anywhere_neither_panics_nor_passes_unsaid() {
     assert!(said > flips / 4 && flips > 500, "{said} of {flips}");
 }
 
+/// It said that openings are counted from 1; the first is 0 in every log.
+#[test]
+fn the_layout_of_raw_bytes_in_a_log_says_from_where_openings_are_counted() {
+    let folder = tempfile::tempdir().expect("folder");
+    let bytes = std::fs::read(recorded(folder.path())).expect("bytes");
+    let mut told = 0;
+    for message in mcap::MessageStream::new(&bytes).expect("a log") {
+        let channel = message.expect("a message").channel;
+        if let Some(schema) = channel.schema.as_ref().filter(|schema| schema.name == "sidecarm.RawBytes") {
+            let layout = String::from_utf8_lossy(&schema.data).into_owned();
+            assert!(layout.contains("counts the openings of the serial line, starting at 0"), "{layout}");
+            told += 1;
+        }
+    }
+    assert_eq!(told, 2);
+}
+
+/// A chunk as other programs write it, of one byte packed with lz4.
+fn chunk_of_lz4() -> Vec<u8> {
+    let head =
+        [&[0u8; 16][..], &9u64.to_le_bytes(), &0u32.to_le_bytes(), &3u32.to_le_bytes(), b"lz4", &1u64.to_le_bytes(), &[0u8]];
+    let body = head.concat();
+    [&[mcap::records::op::CHUNK][..], &(body.len() as u64).to_le_bytes(), &body].concat()
+}
+
+/// It was told as damage, without a word of the compression.
+#[test]
+fn a_log_that_is_compressed_with_lz4_says_so_and_what_to_do() {
+    let folder = tempfile::tempdir().expect("folder");
+    let bytes = std::fs::read(recorded(folder.path())).expect("bytes");
+    let record_end = |at: usize| {
+        let length = bytes[at + 1..].first_chunk::<8>().expect("a record");
+        at + 9 + u64::from_le_bytes(*length) as usize
+    };
+    let first_chunk =
+        std::iter::successors(Some(8), |at| Some(record_end(*at))).find(|at| bytes[*at] == mcap::records::op::CHUNK);
+    let first_chunk = first_chunk.expect("a chunk");
+    let put_in = |at: usize| [&bytes[..at], &chunk_of_lz4(), &bytes[at..]].concat();
+    let refused = contents(&put_in(first_chunk)).expect_err("it begins with lz4");
+    let told = refused.to_string();
+    assert!(matches!(refused, RecordError::Compression { .. }), "{told}");
+    assert!(told.contains("lz4") && told.contains("mcap compress --compression zstd"), "{told}");
+    let later = contents(&put_in(record_end(first_chunk))).expect("it begins with zstd");
+    assert_eq!(later.entries, contents(&bytes).expect("readable").entries);
+    let said: Vec<&str> = later.losses.iter().map(|loss| loss.reason.as_str()).collect();
+    assert!(said.len() == 1 && said[0].contains("is compressed with lz4, which is not read here"), "{said:?}");
+    // A head that is damaged is no other compression.
+    let mut damaged = bytes.clone();
+    let name = bytes[first_chunk..].windows(4).position(|window| window == b"zstd").expect("its compression") + first_chunk;
+    damaged[name] ^= 0x55;
+    assert!(!contents(&damaged).expect("opens").losses.is_empty());
+}
+
 /// A log of so many images, each in a chunk of its own.
 fn images_in_chunks(count: i64) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("folder");

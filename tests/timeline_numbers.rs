@@ -81,6 +81,7 @@ fn evidence(frame: u32, message: &Message) -> FrameEvidence {
         arrival_us: (!message.robot).then_some(message.host_us),
         frame_time_us: Some(message.host_us),
         image_times_us: Vec::new(),
+        stated_length_us: None,
         last_image: false,
         completes: None,
     }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::image::{ImageFileError, write_atomically};
 use crate::reporter::Reporter;
 use crate::session::attach::{AttachError, AttachReport, Attached, attach};
+use crate::timeline::TOO_FEW_AGREE;
 
 /// Tie frames that were exported after a session to the exposures in its log. The log is not changed.
 #[derive(Clone, Debug, clap::Args)]
@@ -24,6 +25,9 @@ pub struct AttachArgs {
     pub json: bool,
 }
 
+/// What helps where too few frames agree.
+const MORE_TO_AGREE: &str = "name all frames of the session at once, the first and the last too; it helps to set the console's clock to the host's, \
+                             and to have it write date, time and the C-arm's exposure counter (Acquisition Number) into its frames";
 /// So many exposures without a frame are named; the JSON has all.
 const NAMED: usize = 20;
 
@@ -84,12 +88,18 @@ fn table(report: &AttachReport) {
         report.frames.len()
     );
     if let Some(clock) = report.console {
-        println!(
-            "console clock: {:.2} s behind the host's, ± {:.2} s, from {} frames",
-            clock.offset_us as f64 * 1e-6,
-            clock.uncertainty_us as f64 * 1e-6,
-            clock.frames
-        );
+        let frames = clock.frames;
+        match report.console_zone_min {
+            // The zone is no error of the clock.
+            Some(minutes) => {
+                println!(
+                    "console clock: {} in its zone, {}, from {frames} frames",
+                    clock.in_zone(minutes).words(),
+                    zone(minutes)
+                );
+            }
+            None => println!("console clock: {}, zone and all, from {frames} frames", clock.words()),
+        }
     }
     for frame in &report.frames {
         println!("{}", row(frame));
@@ -101,12 +111,21 @@ fn table(report: &AttachReport) {
         println!("lost: {loss}");
     }
     println!("{} of {} frames tied", report.bound(), report.frames.len());
+    if report.frames.iter().any(|frame| frame.binding.evidence.last().is_some_and(|words| words == TOO_FEW_AGREE)) {
+        println!("{MORE_TO_AGREE}");
+    }
     let without = &report.exposures_without_frame;
     if !without.is_empty() {
         let more = if without.len() > NAMED { ", …" } else { "" };
         let named = without.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
         println!("{} of {} exposures still have no frame ({named}{more})", without.len(), report.exposures);
     }
+}
+
+/// Minutes east of UTC as `UTC+05:30`.
+fn zone(minutes: i32) -> String {
+    let sign = if minutes < 0 { '-' } else { '+' };
+    format!("UTC{sign}{:02}:{:02}", minutes.unsigned_abs() / 60, minutes.unsigned_abs() % 60)
 }
 
 fn row(frame: &Attached) -> String {

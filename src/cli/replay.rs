@@ -21,7 +21,7 @@ pub struct ReplayArgs {
     /// Folder with the scene file and its CT, if they are not where the session had them.
     #[arg(long)]
     pub data: Option<PathBuf>,
-    /// Folder for strips, DRRs, pairs and report; LOG.replay beside the log when absent.
+    /// Folder for strips, DRRs, pairs and report; beside the log when absent, under its name with .replay in place of .mcap: session.replay for session.mcap.
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Send what is replayed over OpenIGTLink as well, on this port of this machine; best with --rate 1.

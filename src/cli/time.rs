@@ -145,7 +145,7 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         false => None,
     };
     let report = serde_json::json!({
-        "adapter": renderer.adapter(),
+        "adapter": renderer.adapter_with_threads(),
         "load_ms": load_ms,
         "peak_memory_mib": peak_memory_mib(),
         "images_per_second": per_second,

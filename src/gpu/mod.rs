@@ -113,11 +113,11 @@ impl Device {
             DeviceChoice::Auto => match open_gpu(false) {
                 Ok(gpu) => Ok(Self::Gpu(Box::new(gpu))),
                 Err(GpuError::NotThere { .. }) => {
-                    reporter.note(format_args!("no hardware GPU found: rendering on {}", cpu_name()));
+                    reporter.note(format_args!("no hardware GPU found: rendering on {}", cpu_name_with_threads()));
                     Ok(Self::Cpu)
                 }
                 Err(error) => {
-                    reporter.warn("gpu", format_args!("{error}: rendering on {}", cpu_name()));
+                    reporter.warn("gpu", format_args!("{error}: rendering on {}", cpu_name_with_threads()));
                     Ok(Self::Cpu)
                 }
             },
@@ -134,9 +134,24 @@ impl Device {
             Self::Gpu(gpu) => gpu.adapter.clone(),
         }
     }
+
+    /// The same beside times: how long the CPU takes depends on its threads, what it draws does not.
+    #[must_use]
+    pub fn name_with_threads(&self) -> String {
+        match self {
+            Self::Cpu => cpu_name_with_threads(),
+            Self::Gpu(gpu) => gpu.adapter.clone(),
+        }
+    }
 }
 
-/// The CPU executor's name.
+/// The CPU executor's name with how many threads it has.
+#[must_use]
+pub fn cpu_name_with_threads() -> String {
+    format!("{} ({} threads)", cpu_name(), rayon::current_num_threads())
+}
+
+/// The CPU executor's name, for files that are the same however many threads made them.
 #[must_use]
 pub fn cpu_name() -> String {
     #[cfg(target_arch = "x86_64")]
@@ -144,7 +159,7 @@ pub fn cpu_name() -> String {
     #[cfg(not(target_arch = "x86_64"))]
     let wide = false;
     let instructions = if wide { ", AVX-512" } else { "" };
-    format!("CPU executor, {}{instructions} ({} threads)", std::env::consts::ARCH, rayon::current_num_threads())
+    format!("CPU executor, {}{instructions}", std::env::consts::ARCH)
 }
 
 fn open_gpu(software: bool) -> Result<Gpu, GpuError> {
@@ -199,4 +214,21 @@ fn wanted_features() -> wgpu::Features {
         F::empty()
     };
     F::TIMESTAMP_QUERY | for_networks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Reports and plans of two replays of one log differed in nothing but the number of threads.
+    #[test]
+    fn the_executors_name_in_files_is_the_same_with_any_number_of_threads() {
+        let named = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            pool.install(|| (Device::Cpu.name(), Device::Cpu.name_with_threads()))
+        };
+        let ((one, one_timed), (two, two_timed)) = (named(1), named(2));
+        assert_eq!(one, two);
+        assert!(one_timed.ends_with("(1 threads)") && two_timed.ends_with("(2 threads)"), "{one_timed}; {two_timed}");
+    }
 }

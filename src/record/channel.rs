@@ -18,7 +18,7 @@ pub(super) struct Kind {
 pub(super) const RAW_SCHEMA: &str = "sidecarm.RawBytes";
 
 /// The layout of raw serial bytes, kept in the log for whoever reads it without this program.
-const RAW_LAYOUT: &str = "u32 epoch, little-endian: counts the openings of the serial line, starting at 1\n\
+const RAW_LAYOUT: &str = "u32 epoch, little-endian: counts the openings of the serial line, starting at 0\n\
     then, up to the end of the message: the bytes of one read, as they arrived\n\
     log time: host arrival time; wire format: COBS frames, see mocks/PROTOCOL.md of the program\n";
 

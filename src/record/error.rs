@@ -67,6 +67,16 @@ pub enum RecordError {
         /// Its first bytes, in hexadecimal.
         found: String,
     },
+    /// The log is compressed in a way that is not read here.
+    #[error(
+        "{path}: is compressed with lz4, which is not read here; write it anew with zstd or uncompressed, for instance \
+         `mcap compress --compression zstd {path} -o zstd.mcap`",
+        path = path.display()
+    )]
+    Compression {
+        /// The log.
+        path: PathBuf,
+    },
     /// A message in a log does not hold what its topic promises.
     #[error("{topic}, message {sequence}: {detail}")]
     Message {

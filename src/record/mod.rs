@@ -36,6 +36,7 @@
 mod announced;
 mod channel;
 mod chunk;
+mod compression;
 mod copy;
 mod decode;
 mod error;

@@ -10,8 +10,9 @@ use mcap::records::{Record, op};
 use super::RecordError;
 use super::announced::announced_at_the_end;
 use super::channel::Kind;
+use super::compression::begins_with_other;
 use super::resync::{MAX_RECORD_BYTES, next_chunk};
-use super::unpack::{Unpacked, has_checksum, is_head, unpack};
+use super::unpack::{Unpacked, has_checksum, is_head, is_other_head, unpack};
 use crate::regular::{NotRegular, OpenFault, OpenFile, open_regular};
 
 /// Opcode and length in front of every record.
@@ -177,6 +178,9 @@ impl LogReader {
         } else {
             let io = |source| RecordError::Io { path: path.to_owned(), source };
             let announced = announced_at_the_end(&mut reader.source, reader.length).map_err(io)?;
+            if begins_with_other(&mut reader.source, reader.at_byte, reader.length).map_err(io)? {
+                return Err(RecordError::Compression { path: path.to_owned() });
+            }
             reader.source.seek(SeekFrom::Start(reader.at_byte)).map_err(io)?;
             announced.into_iter().for_each(|(opcode, body)| reader.record(0, opcode, &body));
         }
@@ -308,6 +312,9 @@ impl LogReader {
         let body = self.read_up_to(length);
         let whole = body.len() as u64 == length;
         match opcode {
+            op::CHUNK if whole && is_other_head(&body, length) => {
+                self.lose(start, format!("chunk of {length} bytes is compressed with lz4, which is not read here"));
+            }
             // Where its own lengths disagree, that of the record may be wrong as well, and what follows is inside.
             op::CHUNK if whole && !is_head(&body, length) => {
                 self.skip_damage(start, "the head of a chunk makes no sense".into());

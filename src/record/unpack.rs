@@ -35,6 +35,14 @@ pub(super) fn is_head(start: &[u8], body_bytes: u64) -> bool {
     })
 }
 
+/// The same of a chunk that is whole and compressed in the other way that MCAP knows, which is not read here.
+pub(super) fn is_other_head(start: &[u8], body_bytes: u64) -> bool {
+    head(start, false).is_some_and(|head| {
+        let head_bytes = 16 + 8 + 4 + 4 + head.compression.len() as u64 + 8;
+        head.compression == b"lz4" && head_bytes.checked_add(head.packed_bytes) == Some(body_bytes)
+    })
+}
+
 fn head(body: &[u8], whole: bool) -> Option<Head<'_>> {
     let (_span, rest) = body.split_at_checked(16)?;
     let (unpacked_bytes, rest) = rest.split_first_chunk::<8>()?;

@@ -135,6 +135,12 @@ impl Renderer {
         self.device.name()
     }
 
+    /// The same, and how many threads the CPU has: beside times.
+    #[must_use]
+    pub fn adapter_with_threads(&self) -> String {
+        self.device.name_with_threads()
+    }
+
     /// The device, where it is a GPU.
     #[must_use]
     pub fn gpu(&self) -> Option<&Gpu> {

@@ -27,7 +27,7 @@ use super::timed_scenes::{
 };
 use crate::estimate::median;
 use crate::geometry::View;
-use crate::gpu::cpu_name;
+use crate::gpu::cpu_name_with_threads;
 use crate::image::{cache_file, write_atomically};
 use crate::random::{Purpose, Stream};
 use crate::regular;
@@ -53,7 +53,7 @@ pub fn of_this_machine() -> Costs {
 
 fn kept_in(path: Option<PathBuf>, measure: impl Fn() -> Costs) -> Costs {
     let version = env!("CARGO_PKG_VERSION");
-    let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name(), cfg!(debug_assertions));
+    let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name_with_threads(), cfg!(debug_assertions));
     let cached =
         path.as_ref().and_then(|path| regular::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
     let cached = cached.filter(|costs| costs.machine == machine && costs.is_sound());

@@ -120,7 +120,13 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
     rows.sort_by(|a, b| a.achieved.ms.total_cmp(&b.achieved.ms));
     let left_out = if without_panel { "; the scene's noise, collimation and blur are left out" } else { "" };
     let words = format!("line integrals before the panel{left_out}");
-    Ok(Trade { size_px: view.size_px, adapter: renderer.adapter(), judged_rays: judged.expected.len(), judged: words, rows })
+    Ok(Trade {
+        size_px: view.size_px,
+        adapter: renderer.adapter_with_threads(),
+        judged_rays: judged.expected.len(),
+        judged: words,
+        rows,
+    })
 }
 
 fn goals() -> Vec<Goal> {

@@ -73,6 +73,9 @@ pub struct AttachReport {
     pub frames_in_log: usize,
     /// The console's clock as all frames together show it.
     pub console: Option<ConsoleClock>,
+    /// The time zone that the frames state, minutes east of UTC; it is in `console` as well.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub console_zone_min: Option<i32>,
     /// The named frames, in the order in which they were named (folders by path, with those below them).
     pub frames: Vec<Attached>,
     /// Exposures of which neither the log nor what was named has a frame.
@@ -153,6 +156,7 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         exposures: exposures.len(),
         frames_in_log: session.frames_in_log as usize,
         console: session.binder.clock(),
+        console_zone_min: session.zone.minutes(),
         frames: read.iter().map(attached).collect(),
         exposures_without_frame: without.map(ExposureInterval::label).collect(),
         losses: session.losses,

@@ -35,6 +35,7 @@ mod adapters;
 mod album;
 mod against_log;
 mod air_word;
+mod as_recorded;
 mod at_exposure;
 mod background;
 mod basis;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::SessionError;
 use super::against_log::PairDigest;
+use super::as_recorded::AsRecorded;
 use super::edit::EDIT_TOPIC;
 use super::file::Setup;
 use super::log::{DRR_HASH_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
@@ -76,7 +77,9 @@ impl Recorded {
         let mut tolerance = Tolerance::default();
         let mut reader = LogReader::open(log)?;
         let mut drr: Option<String> = None;
+        let mut order = AsRecorded::default();
         for entry in reader.by_ref() {
+            order.see(&entry);
             if found.messages == 0 {
                 found.started_us = entry.host_us;
             }
@@ -143,6 +146,7 @@ impl Recorded {
         let damage = reader.losses().iter().map(ToString::to_string);
         found.losses.splice(0..0, damage);
         found.losses.extend(tolerance.losses());
+        found.losses.extend(order.words().map(str::to_owned));
         Ok(found)
     }
 

@@ -7,6 +7,10 @@ use super::judgement::{Judgement, Weighed, none};
 use super::known::Pending;
 use super::shots::{BATCH_US, PROMPT_US};
 
+/// Why frames of a console of which nothing is known are not bound.
+pub const TOO_FEW_AGREE: &str = "too few frames agree on what the console's stamps and counter mean, or the exposures follow each other too evenly \
+                                 for them to tell one from the next";
+
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
 const ARRIVAL_RISK: f64 = 1e-4;
 /// Frames from which it is known how soon frames come.
@@ -26,9 +30,7 @@ impl Weighed<'_> {
         let said = &self.pending.evidence;
         let Some(arrival_us) = said.arrival_us else {
             words.push(match said.console_us.is_some() || said.counter.is_some() {
-                true => "too few frames agree on what the console's stamps and counter mean, or the exposures follow each other too evenly for \
-                         them to tell one from the next"
-                    .to_owned(),
+                true => TOO_FEW_AGREE.to_owned(),
                 false => "without a stamp or counter a frame exported afterwards cannot be tied".to_owned(),
             });
             return none(words);

@@ -161,6 +161,22 @@ pub struct ConsoleClock {
     pub frames: u32,
 }
 
+impl ConsoleClock {
+    /// How it stands to the host's, such as `2.000 s ± 0.100 s behind the host's`.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let side = if self.offset_us < 0 { "ahead of" } else { "behind" };
+        let (offset_s, either_way_s) = (self.offset_us as f64 * 1e-6, self.uncertainty_us as f64 * 1e-6);
+        format!("{:.3} s ± {either_way_s:.3} s {side} the host's", offset_s.abs())
+    }
+
+    /// The same clock where its stamps are known to be in a zone so many minutes east of UTC: what is left is its own error.
+    #[must_use]
+    pub fn in_zone(self, minutes: i32) -> Self {
+        Self { offset_us: self.offset_us.saturating_add(i64::from(minutes) * 60_000_000), ..self }
+    }
+}
+
 impl ConsoleOffset {
     /// Offsets possible at `at_us`, whatever instant of its exposure a stamp names; `None` while nothing is known.
     pub(super) fn bounds(&self, at_us: i64) -> Option<Bounds> {
@@ -208,6 +224,17 @@ impl ConsoleOffset {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A clock in a zone east of UTC was so many seconds, less than none, behind the host's.
+    #[test]
+    fn a_clock_is_ahead_or_behind_and_its_zone_is_no_error() {
+        let clock = |offset_us: i64| ConsoleClock { offset_us, uncertainty_us: 130_000, frames: 12 };
+        assert_eq!(clock(2_000_000).words(), "2.000 s ± 0.130 s behind the host's");
+        let india = clock(-20_022_520_000);
+        assert_eq!(india.words(), "20022.520 s ± 0.130 s ahead of the host's");
+        assert_eq!(india.in_zone(330).words(), "222.520 s ± 0.130 s ahead of the host's");
+        assert_eq!(clock(18_000_500_000).in_zone(-300).words(), "0.500 s ± 0.130 s behind the host's");
+    }
 
     #[test]
     fn the_offset_is_bounded_by_every_frame_and_a_contradiction_is_refused() {

@@ -3,10 +3,8 @@
 
 use super::Timeline;
 use super::evidence::{Binding, BindingFlag, GAP_LIMIT_US, LONG_BEAM_US, MOVED_LIMITS, is_angle, seconds};
+use super::stated_length::stated_us;
 use super::travel::Travel;
-
-/// What a header states beyond these is no time of an exposure, ms.
-const STATED_MS: std::ops::RangeInclusive<f64> = 1.0..=60_000.0;
 
 impl Binding {
     /// When the frame was taken, from the count to the end of the beam as far as it may have been on, where only an arm's count says so; `None`
@@ -33,7 +31,7 @@ impl Binding {
     #[must_use]
     pub fn with_beam_length(mut self, timeline: &Timeline, exposure_ms: Option<f64>, arrival_us: i64) -> Self {
         let Some([from_us, count_us]) = self.counted_span_us(timeline) else { return self };
-        let stated_us = exposure_ms.filter(|ms| STATED_MS.contains(ms)).map(|ms| (ms * 1e3).round() as i64);
+        let stated_us = stated_us(exposure_ms);
         // No radiograph takes longer.
         let beam_us = stated_us.unwrap_or(LONG_BEAM_US);
         let whole_us = count_us.saturating_add(beam_us);

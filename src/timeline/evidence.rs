@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::exposure::ExposureInterval;
+use super::stated_length::{Length, length_of, stated_us};
 use crate::acquire::FrameTags;
 use crate::geometry::CarmJoints;
 
@@ -28,6 +29,9 @@ pub struct FrameEvidence {
     /// How long after the first each image of the file was taken, where it says so of each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub image_times_us: Vec<i64>,
+    /// How long its header states that the exposure took, of a file with one image, which no fluoroscopy gave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stated_length_us: Option<i64>,
     /// By its tags it is the last image held of a beam: taken when that ended.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub last_image: bool,
@@ -40,6 +44,7 @@ impl FrameEvidence {
     /// From the kept tags of a frame.
     #[must_use]
     pub fn of(frame: u32, tags: &FrameTags, sha256: &str, image_of_file: [u32; 2], arrival_us: Option<i64>) -> Self {
+        let last_image = image_of_file[1] <= 1 && shows_last_image(tags);
         Self {
             frame,
             content: sha256.to_owned(),
@@ -50,7 +55,9 @@ impl FrameEvidence {
             arrival_us,
             frame_time_us: tags.frame_time_ms.map(|ms| (ms * 1e3).round() as i64),
             image_times_us: tags.image_times_us(),
-            last_image: image_of_file[1] <= 1 && shows_last_image(tags),
+            // Of a run, and of fluoroscopy, it may be the time of the pulses.
+            stated_length_us: stated_us(tags.exposure_ms).filter(|_| image_of_file[1] <= 1 && !last_image),
+            last_image,
             completes: None,
         }
     }
@@ -64,24 +71,6 @@ fn shows_last_image(tags: &FrameTags) -> bool {
     const HELD: [&str; 4] = ["LAST IMAGE HOLD", "LIH", "FLUOROSCOPY", "FLUORO"];
     let is_one_of = |terms: &[&str]| tags.image_type.iter().any(|term| terms.contains(&term.as_str()));
     !is_one_of(&OF_ALL) && (is_one_of(&HELD) || tags.radiation_setting.as_deref() == Some("SC"))
-}
-
-/// The time zone of a console's stamps: that of the first file that states one. Stamps of another zone are brought to it, so that summer time
-/// may begin in mid-session.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ConsoleZone {
-    offset_min: Option<i32>,
-}
-
-impl ConsoleZone {
-    /// What a frame with these tags says, in the one zone.
-    #[must_use]
-    pub fn steady(&mut self, tags: &FrameTags, evidence: FrameEvidence) -> FrameEvidence {
-        let Some(own_min) = tags.timezone_offset_min else { return evidence };
-        let first_min = *self.offset_min.get_or_insert(own_min);
-        let later_us = (i64::from(first_min) - i64::from(own_min)) * 60_000_000;
-        FrameEvidence { console_us: evidence.console_us.map(|us| us.saturating_add(later_us)), ..evidence }
-    }
 }
 
 /// Weight of the last digit of `HHMMSS.FFFFFF`, of which any tail may be missing.
@@ -160,6 +149,13 @@ pub enum BindingFlag {
         /// How long the beam was on.
         beam_us: i64,
     },
+    /// The frame's header states another length of the exposure.
+    OtherLength {
+        /// By the header.
+        stated_us: i64,
+        /// How long the beam was on.
+        beam_us: i64,
+    },
     /// The same picture as an earlier frame, which has the exposure.
     Duplicate {
         /// That frame.
@@ -200,6 +196,12 @@ impl std::fmt::Display for BindingFlag {
                     seconds(*beam_us)
                 )
             }
+            Self::OtherLength { stated_us, beam_us } => write!(
+                f,
+                "its header states an exposure of {}, the beam was on for {}: unless it was pulsed, the picture may be of another exposure",
+                seconds(*stated_us),
+                seconds(*beam_us)
+            ),
             Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
             Self::SecondPicture { of } => write!(f, "a second picture of the exposure that frame {of} has"),
             Self::Unfinished { replaced_by } => {
@@ -291,6 +293,9 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval, span_
         flags.push(BindingFlag::Run { image, count });
     }
     flags.extend(long_beam_us(frame, exposure).map(|beam_us| BindingFlag::LastImage { beam_us }));
+    let unlike_us = frame.stated_length_us.filter(|us| length_of(Some(*us), exposure) == Length::Unlike);
+    let beam_us = exposure.end_us.saturating_sub(exposure.start_us);
+    flags.extend(unlike_us.map(|stated_us| BindingFlag::OtherLength { stated_us, beam_us }));
     flags
 }
 
@@ -466,26 +471,6 @@ mod tests {
         assert_eq!((held.half_image_us(), plain.half_image_us()), (Some(LAST_PULSES_US), None));
         let still = [CarmJoints::ZERO; 3];
         assert_eq!(held.moved_within(&still).flags, [BindingFlag::LastImage { beam_us: 4_000_000 }]);
-    }
-
-    #[test]
-    fn stamps_of_two_zones_come_to_one() {
-        let at = |time: &str, offset_min: Option<i32>| FrameTags {
-            acquired_date: Some("20261128".to_owned()),
-            acquired_time: Some(time.to_owned()),
-            timezone_offset_min: offset_min,
-            ..FrameTags::default()
-        };
-        let mut zone = ConsoleZone::default();
-        let mut stamp = |tags: FrameTags| {
-            let said = FrameEvidence::of(1, &tags, "a", [0, 1], None);
-            zone.steady(&tags, said).console_us.expect("a stamp")
-        };
-        let first_us = stamp(at("010000", None));
-        assert_eq!(stamp(at("010010", Some(60))) - first_us, 10_000_000);
-        // Summer time: an hour more on the clock, ten seconds later.
-        assert_eq!(stamp(at("020020", Some(120))) - first_us, 20_000_000);
-        assert_eq!(stamp(at("010030", Some(60))) - first_us, 30_000_000);
     }
 
     #[test]

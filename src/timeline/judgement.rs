@@ -44,7 +44,8 @@ pub(super) struct Weighed<'a> {
 }
 
 impl Weighed<'_> {
-    pub(super) fn judge(&self) -> Judgement {
+    /// What the frame by itself gives, whatever others there are.
+    pub(super) fn claim(&self) -> Judgement {
         if self.pending.prompt.is_none() && self.came_before_the_end() {
             return Judgement::Wait("an exposure was on when the frame arrived, and has not ended yet".to_owned());
         }
@@ -180,7 +181,12 @@ impl Weighed<'_> {
                 self.of(*at, BindingHow::Counter, words, false)
             }
             _ => {
-                words.push("counter and arrival do not name one exposure".to_owned());
+                let said = &self.pending.evidence;
+                let says_nothing = said.counter.is_none() && said.console_us.is_none() && said.arrival_us.is_none();
+                words.push(match says_nothing {
+                    true => "no time and no counter in this picture: nothing ties it".to_owned(),
+                    false => "counter and arrival do not name one exposure".to_owned(),
+                });
                 none(words)
             }
         }
@@ -244,8 +250,11 @@ impl Weighed<'_> {
     /// The verdict for one exposure, unless another frame has it.
     pub(super) fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
         if let Some(other) = self.known.shots.get(shot).frame {
+            let other_length = self.other_length_words(shot, other);
+            let taken_by = other_length.is_none().then_some(other);
+            evidence.extend(other_length);
             evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
-            return Judgement::None { evidence, taken_by: Some(other) };
+            return Judgement::None { evidence, taken_by };
         }
         Judgement::Of { shot, how, evidence, teaches }
     }

@@ -9,6 +9,7 @@ mod apart;
 mod arrival;
 mod beside;
 mod binder;
+mod claims;
 mod clock;
 mod console;
 mod counted;
@@ -27,19 +28,23 @@ mod sequence;
 mod series;
 mod shots;
 mod stamped;
+mod stated_length;
 mod track;
 mod travel;
+mod zone;
 
+pub use arrival::TOO_FEW_AGREE;
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;
-pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence, LONG_BEAM_US};
+pub use evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, LONG_BEAM_US};
 pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
 pub use gap::Gap;
 pub use judgement::NO_EXPOSURE;
 pub use rate::unit_of_clock;
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
 pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
+pub use zone::ConsoleZone;
 
 use std::collections::VecDeque;
 

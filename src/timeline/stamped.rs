@@ -380,12 +380,7 @@ impl Weighed<'_> {
 
     fn offset_words(&self) -> String {
         match self.known.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
-            Some(clock) => format!(
-                " (its clock is {} ± {} behind the host's, from {} frames)",
-                seconds(clock.offset_us),
-                seconds(clock.uncertainty_us),
-                clock.frames
-            ),
+            Some(clock) => format!(" (its clock is {}, from {} frames)", clock.words(), clock.frames),
             None => String::new(),
         }
     }

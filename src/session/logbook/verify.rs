@@ -7,6 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::super::against_log::Samples;
+use super::super::as_recorded::AsRecorded;
 use super::super::edit::{EDIT_TOPIC, EditRecord, NOTE_TOPIC, NoteRecord};
 use super::super::file::Setup;
 use super::super::log::{DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord, SETUP_TOPIC};
@@ -109,6 +110,7 @@ struct Check {
     lines: Lines,
     samples: Samples,
     counts: BTreeMap<String, Count>,
+    order: AsRecorded,
     /// What names a frame: topic, place and time of the first that does.
     named: BTreeMap<u32, (String, u64, i64)>,
     /// Hash that scores name, and where.
@@ -134,6 +136,7 @@ pub fn verify(path: &Path, reporter: &Reporter) -> Result<Verdict, LogbookError>
         lines: Lines::new(),
         samples: Samples::default(),
         counts: BTreeMap::new(),
+        order: AsRecorded::default(),
         named: BTreeMap::new(),
         hashes: Vec::new(),
         drr: None,
@@ -147,6 +150,7 @@ pub fn verify(path: &Path, reporter: &Reporter) -> Result<Verdict, LogbookError>
             check.verdict.start_us = entry.host_us;
         }
         check.verdict.messages += 1;
+        check.order.see(&entry);
         check.count(&entry, reader.place());
         if let Err(error) = check.take(&entry, reader.place()) {
             check.fault(&entry, reader.place(), told(error));
@@ -302,6 +306,9 @@ impl Check {
             .collect();
         of_file.into_iter().for_each(|fault| self.add(fault));
         self.end(None, reader.length());
+        if let Some(words) = self.order.words() {
+            self.add(Fault { at_byte: 0, topic: None, time_us: None, what: words.to_owned() });
+        }
         self.missing_messages();
         self.missing_frames();
         if self.samples.different() > 0 {

@@ -109,7 +109,8 @@ pub fn play(session: &Session) -> Score {
             note(&binder, changed, None, clock_us, &mut score);
         }
         binder.push(sent.evidence.clone());
-        let changed = binder.update(&fed, arrival_us);
+        // All that was exported afterwards is there before any of it is judged.
+        let changed = sent.evidence.arrival_us.map(|arrival_us| binder.update(&fed, arrival_us)).unwrap_or_default();
         note(&binder, changed, Some(sent.evidence.frame), arrival_us, &mut score);
     }
     let last_us = clock_us + 2_000_000;

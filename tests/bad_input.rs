@@ -139,7 +139,7 @@ fn names_that_are_none_for_a_tiff_are_a_usage_error() {
 #[test]
 fn a_focal_spot_within_the_ct_is_said() {
     let folder = folder();
-    let words = "warning: the focal spot lies within objects[1].ct";
+    let words = "warning: the focal spot lies within objects[0].sphere and objects[1].ct";
     for (depth_mm, is_within) in [(4.0, false), (2.0, true)] {
         let ran = render(folder.path(), &changed("/view/camera_from_lps/2/3", json!(depth_mm)), "drr.tif", &[]);
         assert_eq!(ran.code, Some(0), "{}", ran.stderr);

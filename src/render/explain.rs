@@ -109,10 +109,13 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
             within && mesh_holds(mesh, source)
         }
     };
-    words.extend(scene.objects.iter().find(holds_source).map(|object| {
-        let name = &object.name;
-        format!("the focal spot lies within {name}, as no C-arm's does: is the pose in metres, or the inverse of one?")
-    }));
+    let holding: Vec<&str> = scene.objects.iter().filter(holds_source).map(|object| object.name.as_str()).collect();
+    if !holding.is_empty() {
+        let names = holding.join(" and ");
+        words.push(format!(
+            "the focal spot lies within {names}, as no C-arm's does: is the pose in metres, or the inverse of one?"
+        ));
+    }
     words
 }
 

@@ -347,8 +347,12 @@ fn masked_words(pixels: &Image<f32>, masked: &[usize], signal: bool) -> String {
     let brightness = |at: usize| if signal { pixels.pixels[at] } else { -pixels.pixels[at] };
     let brightest = (0..pixels.pixels.len()).map(brightness).filter(|value| value.is_finite()).fold(f32::NEG_INFINITY, f32::max);
     let at_end = masked.iter().filter(|at| brightness(**at) >= brightest).count();
-    let saturated =
-        if at_end > 0 { format!(", {at_end} of them at the frame's brightest value: saturated?") } else { String::new() };
+    // One may be a dead pixel.
+    let saturated = if 2 * at_end > masked.len() {
+        format!(", {at_end} of them at the frame's brightest value: saturated?")
+    } else {
+        String::new()
+    };
     format!(" ({} more are masked{saturated})", masked.len())
 }
 

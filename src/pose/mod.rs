@@ -96,5 +96,6 @@ pub use together::{
 };
 pub use triangle::align as align_triangles;
 pub use unseen::{Unseen, UnseenBy, WorstBead};
+pub use unstated_k::MEASURE_K;
 pub use verdict::extents_mm;
 pub use with_tags::register_tagged;

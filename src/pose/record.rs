@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::cautions::{is_of_header_k, is_of_looseness};
+use super::cautions::{is_of_header_k, is_of_looseness, is_of_round_field};
 use super::explained::{Explained, Reading, Rejected, RejectedReading};
 use super::file::{PoseFileError, read_json, write_json};
 use super::hand_marks::Edited;
@@ -255,15 +255,17 @@ impl Pose {
         Self { status: Status::Refused, reason: Some(refusal.to_string()), refusal: Some(refusal), ..self }
     }
 
-    /// Whether it is in doubt, and not only for how loosely the beads hold it.
+    /// Whether it is in doubt, and not only for how loosely the beads hold it, or for what K moves beside them.
     #[must_use]
     pub fn may_be_another(&self) -> bool {
-        self.doubt.as_deref().is_some_and(|words| !is_of_looseness(words))
+        self.doubt.as_deref().is_some_and(|words| !(is_of_looseness(words) || is_of_header_k(words)))
     }
 
-    /// A caution that leaves open whether the pose is this one; the first stands for all, but that a pose is loose gives way to any other.
+    /// A caution that leaves open whether the pose is this one; the first stands for all, but one that several views or
+    /// telemetry tell anew gives way to any other.
     pub fn doubt(&mut self, words: String) {
-        if self.doubt.as_deref().is_none_or(is_of_looseness) {
+        let is_told_anew = |words: &str| is_of_looseness(words) || is_of_round_field(words) || is_of_header_k(words);
+        if self.doubt.as_deref().is_none_or(is_told_anew) {
             self.doubt = Some(words.clone());
         }
         self.cautions.push(words);

@@ -16,7 +16,7 @@ const CENTRE: f64 = 0.01;
 const FOCAL: f64 = 0.005;
 
 /// What to do about it; how it is given, `register` and a session say of every K of a header.
-const MEASURE: &str = "calibrate K, and give it (intrinsics)";
+pub const MEASURE_K: &str = "calibrate K, and give it (intrinsics)";
 
 /// What K may be instead, and what is said of it, also that it cannot be told; nothing where somebody states K, or the beads solve it.
 pub(super) fn heard_of_k(request: &Registration, settled: &Settled) -> (Option<Nuisance>, Option<Word>) {
@@ -27,8 +27,9 @@ pub(super) fn heard_of_k(request: &Registration, settled: &Settled) -> (Option<N
     let k = Nuisance::of(settled, &Unmeasured::K(taken));
     let word = match &k {
         Some(k) => moves(k, request, &settled.solution, &taken),
+        None if request.landmarks.is_empty() => Word::Note(format!("{HEADER_K}; {MEASURE_K}")),
         None => {
-            Word::Doubt(format!("{HEADER_K}, and how far another would move places beside the beads cannot be told: {MEASURE}"))
+            Word::Doubt(format!("{HEADER_K}, and how far another would move places beside the beads cannot be told: {MEASURE_K}"))
         }
     };
     (k, Some(word))
@@ -52,12 +53,12 @@ fn moves(k: &Nuisance, request: &Registration, solution: &Solution, taken: &Intr
     let off_px = seen.filter_map(|landmark| Some((along_worst_px(&k.image_px2(solution, landmark.lps_mm)?), &landmark.name)));
     match off_px.max_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((worst_px, name)) if !(worst_px <= MOST_PX) => Word::Doubt(format!(
-            "{HEADER_K}: with {assumed} {name} may be off by {worst_px:.1} px, which beads elsewhere do not show; {MEASURE}"
+            "{HEADER_K}: with {assumed} {name} may be off by {worst_px:.1} px, which beads elsewhere do not show; {MEASURE_K}"
         )),
         Some((worst_px, name)) => Word::Note(format!(
-            "{HEADER_K}: the stated sigma of landmarks count {assumed}, which move {name} by {worst_px:.1} px against the beads; {MEASURE}"
+            "{HEADER_K}: the stated sigma of landmarks count {assumed}, which move {name} by {worst_px:.1} px against the beads; {MEASURE_K}"
         )),
-        None => Word::Note(format!("{HEADER_K}: the stated sigma of landmarks count {assumed}; {MEASURE}")),
+        None => Word::Note(format!("{HEADER_K}: the stated sigma of landmarks count {assumed}; {MEASURE_K}")),
     }
 }
 

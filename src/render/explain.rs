@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 
 use super::bounds::sphere_bounds;
 use super::cpu::shapes::intersect;
@@ -74,7 +74,8 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
             tiny.push(format!("{} ({:.1e} mm)", object.name, 2.0 * radius));
         } else if in_view(view, detector_mm, centre, radius) {
             some_seen = true;
-            if let Some((near_mm, far_mm)) = depths(object, view).filter(|(_, far_mm)| *far_mm > detector_mm + SMALLEST_MM) {
+            let is_cut = |far_mm: f64| far_mm > detector_mm + SMALLEST_MM && is_shown_beyond(scene, object, view, detector_mm);
+            if let Some((near_mm, far_mm)) = depths(object, view).filter(|(_, far_mm)| is_cut(*far_mm)) {
                 let share = 100.0 * (far_mm - detector_mm.max(near_mm)) / (far_mm - near_mm);
                 cut.push(format!("{} ({share:.0} % of its depth, up to {far_mm:.0} mm)", object.name));
             }
@@ -99,11 +100,12 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
     let source = view.source_in_lps();
     let holds_source = |object: &&Object| match &object.matter {
         Matter::Volume(_) | Matter::Parts(_) => object.matter.volumes().iter().any(|volume| holds(volume, source)),
-        Matter::Solids(solids) => solids.iter().any(|solid| {
+        Matter::Solids(solids) => solids.iter().filter(|solid| !scene.is_air(solid.material)).any(|solid| {
             let local_from_lps = solid.lps_from_local.inverse();
             let (place, way) = (local_from_lps.transform_point(source), local_from_lps.rotation * ANY_WAY);
             runs_inside(intersect(&solid.shape, place, way).as_slice())
         }),
+        Matter::Mesh(mesh) if scene.is_air(mesh.material) => false,
         Matter::Mesh(mesh) => {
             let within = bounding_sphere(object).is_some_and(|(centre, radius)| centre.distance(source) < radius);
             within && mesh_holds(mesh, source)
@@ -131,6 +133,41 @@ fn mesh_holds(mesh: &Mesh, p_in_lps: DVec3) -> bool {
     let mut spans = Vec::new();
     MeshTree::new(&mesh.vertices_lps_mm, &mesh.triangles).inside(p_in_lps, ANY_WAY, &mut spans);
     runs_inside(&spans)
+}
+
+/// Rays of the picture that are asked, along each axis.
+const ACROSS: u32 = 17;
+
+/// Whether rays of the picture would run within matter of the object behind the detector: what ends beside the field is not cut there.
+fn is_shown_beyond(scene: &Scene, object: &Object, view: &View, detector_mm: f64) -> bool {
+    let (source, [width, height]) = (view.source_in_lps(), view.size_px.map(f64::from));
+    // Distances along such a way are depths.
+    let way = |n: u32| {
+        let share = |n: u32| f64::from(n) / f64::from(ACROSS - 1);
+        let at_px = DVec2::new(width * share(n % ACROSS) - 0.5, height * share(n / ACROSS) - 0.5);
+        view.camera_from_lps.rotation.inverse() * view.intrinsics.unproject(at_px)
+    };
+    let is_beyond = |spans: &[(f64, f64)]| spans.iter().any(|(_, to)| *to > detector_mm + SMALLEST_MM);
+    let mut ways = (0..ACROSS * ACROSS).map(way);
+    match &object.matter {
+        Matter::Volume(_) | Matter::Parts(_) => false,
+        Matter::Solids(solids) => ways.any(|way| {
+            solids.iter().filter(|solid| !scene.is_air(solid.material)).any(|solid| {
+                let local_from_lps = solid.lps_from_local.inverse();
+                let (place, way) = (local_from_lps.transform_point(source), local_from_lps.rotation * way);
+                is_beyond(intersect(&solid.shape, place, way).as_slice())
+            })
+        }),
+        Matter::Mesh(mesh) if scene.is_air(mesh.material) => false,
+        Matter::Mesh(mesh) => {
+            let tree = MeshTree::new(&mesh.vertices_lps_mm, &mesh.triangles);
+            ways.any(|way| {
+                let mut spans = Vec::new();
+                tree.inside(source, way, &mut spans);
+                is_beyond(&spans)
+            })
+        }
+    }
 }
 
 /// The least and largest depth of a shape or mesh in the camera, mm; `None` for volumes, whose grids reach beyond their matter.

@@ -2,7 +2,7 @@
 
 use super::posed::Posed;
 use crate::geometry::CarmCalibrationError;
-use crate::pose::{Pose, Refusal};
+use crate::pose::{MEASURE_K, Pose, Refusal};
 use crate::report::{Pair, Standing};
 
 /// Of a pose whose K nobody knows.
@@ -20,6 +20,11 @@ pub(super) fn no_joints(error: &CarmCalibrationError) -> String {
     )
 }
 
+/// Whether a doubt ends with the advice to state K.
+fn is_of_k(words: &str) -> bool {
+    words.ends_with(K_REMEDY) || words.ends_with(MEASURE_K)
+}
+
 /// In a sentence; `None` where nothing needs mending.
 pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
     let caution = posed.robot.iter().flat_map(|robot| &robot.cautions).map(|caution| caution.remedy()).next();
@@ -29,7 +34,7 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
             "expose once more with nothing moving; if the image disagrees again, check which scan and which side the layout is of"
         }
         Standing::InDoubt if posed.pose.doubt.is_none() => "a replay of the log puts its image against other poses",
-        Standing::InDoubt if posed.pose.doubt.as_deref().is_some_and(|words| words.ends_with(K_REMEDY)) => K_REMEDY,
+        Standing::InDoubt if posed.pose.doubt.as_deref().is_some_and(is_of_k) => K_REMEDY,
         Standing::InDoubt => {
             "check what the reason names; where it leaves two readings, another direction or more beads in view tell them apart"
         }

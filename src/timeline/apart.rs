@@ -17,6 +17,9 @@ const BESIDE_US: i64 = 300_000;
 /// Exposures farther apart are hardly of one series where nothing says so.
 const SERIES_US: i64 = 60_000_000;
 
+/// What says that it holds more is no file that was read.
+const MOST_IMAGES: usize = 65_536;
+
 /// Which exposures the images of a file are of.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Images {
@@ -90,7 +93,7 @@ impl Known {
         if said.image_times_us.len() == count {
             return Some(said.image_times_us.clone());
         }
-        let step_us = said.frame_time_us.filter(|step_us| *step_us > 0)?;
+        let step_us = said.frame_time_us.filter(|step_us| *step_us > 0 && count <= MOST_IMAGES)?;
         Some((0..count as i64).map(|image| step_us.saturating_mul(image)).collect())
     }
 
@@ -142,4 +145,17 @@ pub(super) fn of_its_own(
     let span_us = [exposure.start_us, exposure.end_us];
     let (time_us, flags) = (Some(time_within(&alone, &exposure, span_us)), flags_of(&alone, &exposure, span_us));
     Binding { exposure: Some(exposure), how, evidence: evidence.to_vec(), settled: true, time_us, flags }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_of_images_that_no_file_holds_takes_no_memory() {
+        let said =
+            |count: u32| FrameEvidence { image_of_file: [0, count], frame_time_us: Some(40_000), ..FrameEvidence::default() };
+        assert_eq!(Known::image_times_us(&said(3), 3), Some(vec![0, 40_000, 80_000]));
+        assert_eq!(Known::image_times_us(&said(u32::MAX), u32::MAX as usize), None);
+    }
 }

@@ -34,7 +34,6 @@ mod attach_command;
 mod bad_input;
 mod binding;
 mod binding_cases;
-mod binding_consoles;
 mod binding_claims;
 mod binding_days;
 mod binding_draw;

@@ -288,7 +288,6 @@ impl Recorded {
         let evidence = FrameEvidence::of(number, &frame.tags, &content, image_of(&frame), Some(host_us));
         self.numbers.insert(frame.number, number);
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
-        self.binder.note_study(number, frame.tags.study.as_deref());
         self.binder.push(FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) });
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, number);

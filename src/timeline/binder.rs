@@ -11,7 +11,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::Timeline;
 use super::apart::of_its_own;
-use super::beside::{Beside, left_out};
 use super::console::ConsoleClock;
 use super::evidence::{Binding, BindingFlag, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
@@ -30,7 +29,6 @@ pub struct Binder {
     known: Known,
     /// Images of a run (and copies) to the frame that stands for them.
     stands_for: BTreeMap<u32, (u32, Binding)>,
-    beside: Beside,
     series: SeriesStamps,
     changed: BTreeSet<u32>,
     fresh: bool,
@@ -43,13 +41,6 @@ impl Binder {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
-    }
-
-    /// Notes of which study a frame is, before it is pushed.
-    pub fn note_study(&mut self, frame: u32, study: Option<&str>) {
-        if let Some(study) = study {
-            self.beside.note(frame, study);
-        }
     }
 
     /// Takes a frame; frames are pushed in the order of their arrival, images of a run one by one.
@@ -75,8 +66,6 @@ impl Binder {
             if let Some(pending) = self.known.frames.get_mut(&first) {
                 pending.images.push(frame);
                 own = of_image(pending, &evidence);
-            } else if self.beside.is_out(first) {
-                own = left_out();
             }
             self.stands_for.insert(frame, (first, own));
             // Kept for its own place within the run.
@@ -84,10 +73,6 @@ impl Binder {
             return;
         }
         self.known.contents.insert(evidence.content.clone(), (frame, BTreeMap::from([(image, frame)])));
-        if self.beside.is_out(frame) {
-            self.stands_for.insert(frame, (frame, left_out()));
-            return;
-        }
         if let Some(counter) = evidence.counter {
             self.known.counting.see(counter);
         }
@@ -301,27 +286,6 @@ impl Binder {
         }
     }
 
-    /// Leaves out the study of `frame`, which claims the exposure that frame `of` has, where that makes it another console's. False where it
-    /// does not.
-    fn leave_out_beside(&mut self, frame: u32, of: u32) -> bool {
-        let Some(study) = self.beside.other_study(frame, of).map(str::to_owned) else { return false };
-        let latest = self.known.frames.get(&frame).and_then(|pending| pending.prompt.as_ref()?.last().copied());
-        let frames = self.beside.frames_of(&study);
-        let has_one = |frame: &u32| self.binding(*frame).is_some_and(|binding| binding.exposure.is_some());
-        if latest.is_none_or(|at| self.known.shots.get(at).frame != Some(of)) || frames.iter().any(has_one) {
-            return false;
-        }
-        for own in frames.into_iter().filter(|own| !self.stands_for.contains_key(own)).collect::<Vec<u32>>() {
-            let Some(forgotten) = self.known.forget(own) else { continue };
-            for frame in forgotten.images.into_iter().chain([own]) {
-                self.stands_for.insert(frame, (own, left_out()));
-                self.changed.insert(frame);
-            }
-        }
-        self.beside.leave_out(study);
-        true
-    }
-
     fn conclude(&mut self, timeline: &Timeline, frame: u32, judgement: Judgement, newest_us: Option<i64>, now_us: i64) -> bool {
         let binding = match judgement {
             Judgement::Of { shot, how, evidence, teaches } => {
@@ -340,7 +304,6 @@ impl Binder {
                 return true;
             }
             Judgement::Wait(reason) => Binding { evidence: vec![reason], settled: self.known.finished, ..Binding::default() },
-            Judgement::None { taken_by: Some(of), .. } if self.leave_out_beside(frame, of) => return false,
             Judgement::None { evidence, taken_by } => {
                 let arrival_us = self.known.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
                 let reached = arrival_us.is_none_or(|arrival_us| {

@@ -38,14 +38,6 @@ impl Counting {
         *self.seen.entry(counter).or_insert(0) += 1;
     }
 
-    /// Takes a value back.
-    pub(super) fn unsee(&mut self, counter: u32) {
-        if let Some(times) = self.seen.get_mut(&counter) {
-            *times = times.saturating_sub(1);
-        }
-        self.seen.retain(|_, times| *times > 0);
-    }
-
     /// Frames with a counter.
     pub(super) fn frames(&self) -> u32 {
         self.seen.values().sum()

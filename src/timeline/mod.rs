@@ -7,7 +7,6 @@ mod agreement;
 mod alignment;
 mod apart;
 mod arrival;
-mod beside;
 mod binder;
 mod claims;
 mod clock;

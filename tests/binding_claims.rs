@@ -19,6 +19,11 @@ fn exposures() -> Vec<(f64, f64)> {
 }
 
 fn exported(pictures: &[Exported]) -> Score {
+    exported_counted(pictures, &|_| None)
+}
+
+/// The same with a count of some, by their checksum.
+fn exported_counted(pictures: &[Exported], count: &dyn Fn(usize) -> Option<u32>) -> Score {
     let (exposures_s, counter) = (exposures(), |index: usize| index as u32 + 1);
     let end_s = exposures_s.iter().fold(0.0f64, |end, exposure| end.max(exposure.1)) + 30.0;
     let samples = samples(&mut Draw::new(1, 0), &exposures_s, end_s, 25.0, Some(&counter), 0, &[]);
@@ -30,6 +35,7 @@ fn exported(pictures: &[Exported]) -> Score {
     let frames = pictures.iter().enumerate().map(|(number, (truth, stamp_s, stated_s, content))| Sent {
         evidence: FrameEvidence {
             frame: number as u32,
+            counter: count(*content),
             content: format!("{content:064x}"),
             image_of_file: [0, 1],
             console_us: Some(us(stamp_s + AHEAD_S)),
@@ -101,6 +107,23 @@ fn of_a_raw_and_a_processed_picture_with_one_stamp_the_lower_checksum_is_bound()
     for [raw, processed] in told_in_every_order([raw, processed]) {
         assert!(!is_unbound(&raw), "{raw}");
         assert!(is_unbound(&processed) && processed.contains("a second picture of the exposure that frame"), "{processed}");
+    }
+}
+
+/// Of two exposures, by their counts, one of which telemetry has not: the lower checksum was bound.
+#[test]
+fn of_two_pictures_with_one_stamp_that_are_counted_apart_neither_is_bound() {
+    let exposures = exposures();
+    let mut pictures: Vec<Exported> =
+        (0..exposures.len()).map(|index| (Truth::Of(index), exposures[index].0, None, 100 + index)).collect();
+    pictures.push((Truth::Foreign, exposures[LONG].0, None, 1));
+    for (counts, unbound) in [([Some(31), Some(32)], 2), ([Some(31), Some(31)], 1), ([None, None], 1)] {
+        let score = exported_counted(&pictures, &|content| match content {
+            1 => counts[0],
+            content if content == 100 + LONG => counts[1],
+            _ => None,
+        });
+        assert_eq!(score.told.iter().filter(|told| is_unbound(told)).count(), unbound, "{counts:?}: {:#?}", score.told);
     }
 }
 

@@ -196,11 +196,10 @@ fn a_line_is_held_against_the_session_s_models() {
     assert_eq!(named(&robot, &CarmSample { field_mm: [-120.0, -93.0, 120.0, 93.0], ..sample() }), ["panel size"]);
 }
 
-/// An arm whose encoder has slipped reports what it says itself that it cannot reach; that was taken as it came.
-#[test]
-fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
+/// What an arm says of its own reach, in mm and degrees.
+fn ranges_of_the_arm() -> Sample {
     let ranges = [[0.0, 400.0], [-10.0, 10.0], [0.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
-    let arm = Metadata {
+    Sample::Metadata(Metadata {
         device_us: 0,
         sequence: 0,
         device: DeviceKind::Carm,
@@ -210,7 +209,12 @@ fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
         calibration_id: String::new(),
         units: "mm,deg".to_owned(),
         limits: ranges.map(|[min, max]| Limit { min, max }).to_vec(),
-    };
+    })
+}
+
+/// An arm whose encoder has slipped reports what it says itself that it cannot reach; that was taken as it came.
+#[test]
+fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
     let setup = setup(SCENE, calibration());
     let (reporter, mut watch) = (Reporter::silent(), LineWatch::default());
     let at = |orbital_deg: f64, lift_mm: f64| {
@@ -219,7 +223,7 @@ fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
     };
     watch.take(&setup, &at(120.0, 0.0), &reporter);
     assert!(reporter.warnings().is_empty(), "nothing is known of the arm's reach yet");
-    watch.take(&setup, &Sample::Metadata(arm), &reporter);
+    watch.take(&setup, &ranges_of_the_arm(), &reporter);
     watch.take(&setup, &at(90.9, f64::NAN), &reporter);
     assert!(reporter.warnings().is_empty(), "{:?}", reporter.warnings());
     (0..3).for_each(|_| watch.take(&setup, &at(120.0, -50.0), &reporter));
@@ -231,21 +235,9 @@ fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
 /// Whole turns are none: an arm that counts from 0 to 360 was told to home an encoder that was right.
 #[test]
 fn angles_are_held_against_the_arm_s_ranges_whichever_turn_they_are_counted_in() {
-    let ranges = [[0.0, 400.0], [-10.0, 10.0], [0.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
-    let arm = Metadata {
-        device_us: 0,
-        sequence: 0,
-        device: DeviceKind::Carm,
-        schema: 0,
-        serial_number: String::new(),
-        firmware: String::new(),
-        calibration_id: String::new(),
-        units: "mm,deg".to_owned(),
-        limits: ranges.map(|[min, max]| Limit { min, max }).to_vec(),
-    };
     let setup = setup(SCENE, calibration());
     let (reporter, mut watch) = (Reporter::silent(), LineWatch::default());
-    watch.take(&setup, &Sample::Metadata(arm), &reporter);
+    watch.take(&setup, &ranges_of_the_arm(), &reporter);
     let mut at = |orbital_deg: f64| {
         let joints = CarmJoints {
             orbital_rad: orbital_deg.to_radians(),

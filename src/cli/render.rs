@@ -141,8 +141,8 @@ impl From<DeviceArg> for DeviceChoice {
     }
 }
 
-/// Kinds of warnings about the scene that bear on every pixel's meaning.
-const OF_THE_SCENE: [&str; 2] = ["air displaces nothing", "objects"];
+/// A kind of warning about the scene that bears on every pixel's meaning.
+const OF_THE_SCENE: &str = "air displaces nothing";
 
 /// Why nothing was rendered.
 #[derive(Debug, thiserror::Error)]
@@ -212,9 +212,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
     refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
-    for words in scene.view.iter().flat_map(|view| explain_unseen(&scene, view)) {
-        reporter.warn("objects", words);
-    }
+    let unseen: Vec<String> = scene.view.iter().flat_map(|view| explain_unseen(&scene, view)).collect();
+    unseen.iter().for_each(|words| reporter.warn("objects", words));
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
@@ -314,7 +313,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         reporter.note(format_args!("note: {note}"));
     }
     // What was said before there was an image belongs to it as well.
-    rendered.notes.extend(OF_THE_SCENE.iter().filter_map(|kind| warned.get(*kind)).map(|warning| warning.latest.clone()));
+    rendered.notes.extend(warned.get(OF_THE_SCENE).map(|warning| warning.latest.clone()));
+    rendered.notes.extend(unseen);
     if let Some(counts) = rendered.non_finite.filter(|counts| counts.total() > 0) {
         reporter.warn("not finite", format_args!("{}: values that are not finite: {counts:?}", args.out.display()));
     }

@@ -64,7 +64,10 @@ impl Builder<'_> {
             ));
         }
         let inpainted = self.without_beads(&mut ct, balls);
-        if let Some(words) = hounsfield::metal(&ct.values) {
+        // Labels say what it is.
+        if !matches!(file.materials, MaterialsFile::Labels(_))
+            && let Some(words) = hounsfield::metal(&ct.values)
+        {
             self.reporter.note(format_args!("{}: {words}", path.display()));
         }
         // Materials are numbered apart first: only those that have voxels enter the scene.

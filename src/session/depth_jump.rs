@@ -16,6 +16,8 @@ const LEAST_MM: f64 = 2.0;
 const SIGMAS: f64 = 4.0;
 /// A mobile arm sags by 16 mm, differently at every angle: so much more for each degree between the beams.
 const SAG_MM_PER_DEG: f64 = 0.1;
+/// What encoders that nobody has calibrated make of a way along the lift or the longitudinal axis, as a share of it.
+const TRAVEL_SHARE: f64 = 0.02;
 /// Nothing but the depth differs where the specimen is turned by no more …
 const STRAIGHT_DEG: f64 = 0.3;
 /// … and across the beam no farther away than this, and that share of the depth: the centre of what was enlarged is not the beam's.
@@ -95,6 +97,13 @@ impl DepthJump {
         self.apart(now, other).is_some_and(|apart| apart.is_depth_alone())
     }
 
+    /// Whether most frames are on the side of `now`.
+    pub(super) fn is_usual<'a>(&self, before: impl Iterator<Item = &'a Stand> + Clone, now: &Stand) -> bool {
+        let own = self.side(before.clone(), now).weight();
+        let mut against = before.clone().filter(|other| self.is_between(now, other));
+        own >= 2 && against.all(|other| own >= self.side(before.clone(), other).weight() + MAJORITY)
+    }
+
     /// That `now` is off earlier frames in depth alone; `None` where it is not, or where most are on its side.
     pub(super) fn of_now<'a>(&self, before: impl Iterator<Item = &'a Stand> + Clone, now: &Stand) -> Option<String> {
         let own = self.side(before.clone(), now);
@@ -116,13 +125,12 @@ impl DepthJump {
             _ => format!("; {} agree with this one", frames(&agreeing)),
         };
         let whose = if side.weight() >= own.weight() + MAJORITY {
-            "this picture is likely the wrong one, and its pose is off by as much"
+            "this picture is likely the wrong one, and its pose is off by as much, unless the specimen, its table or the arm was moved along the beam"
         } else {
-            "which of them is wrong they cannot tell, and one of the poses is off by as much"
+            "which of them is wrong they cannot tell, and one of the poses is off by as much, or the specimen was moved along the beam"
         };
         Some(format!(
-            "its beads put the specimen {} than {}, and nothing but the depth differs: {}{with_it}; {whose}; or the specimen was moved along \
-             the beam",
+            "its beads put the specimen {} than {}, and nothing but the depth differs: {}{with_it}; {whose}",
             off(apart.depth_mm),
             side.words(),
             looks_so(apart.depth_mm, now),
@@ -155,7 +163,7 @@ impl DepthJump {
         let numbers: Vec<u32> = found.iter().map(|(wrong, _)| wrong.number).collect();
         let words = format!(
             "{} agree on where the specimen is; the beads of {} put it elsewhere (frame {}: {}), and nothing but the depth differs: {}; the poses \
-             of {} are off by as much",
+             of {} are off by as much, unless the specimen was moved along the beam",
             own.words(),
             frames(&numbers),
             worst.number,
@@ -179,10 +187,11 @@ impl DepthJump {
     fn apart(&self, stand: &Stand, other: &Stand) -> Option<Apart> {
         let beams_deg = stand.beams_deg(other);
         let sigmas_mm = [other.sigma_depth_mm, other.sigma_across_mm()];
-        (beams_deg <= FAR_DEG).then(|| self.apart_from(stand, &other.world_from_lps, sigmas_mm, beams_deg))
+        let bent_mm = SAG_MM_PER_DEG * beams_deg + TRAVEL_SHARE * stand.travel_mm(other);
+        (beams_deg <= FAR_DEG).then(|| self.apart_from(stand, &other.world_from_lps, sigmas_mm, bent_mm))
     }
 
-    fn apart_from(&self, stand: &Stand, world_from_lps: &Rigid, [depth, across]: [f64; 2], beams_deg: f64) -> Apart {
+    fn apart_from(&self, stand: &Stand, world_from_lps: &Rigid, [depth, across]: [f64; 2], bent_mm: f64) -> Apart {
         let place = |world_from_lps: &Rigid| world_from_lps.transform_point(self.centre_lps_mm);
         let shift_mm = place(&stand.world_from_lps) - place(world_from_lps);
         let depth_mm = shift_mm.dot(stand.beam_in_world);
@@ -192,7 +201,7 @@ impl DepthJump {
             across_mm: (shift_mm - depth_mm * stand.beam_in_world).length(),
             turn_deg: stand.world_from_lps.angle_to_rad(world_from_lps).to_degrees(),
             limits_mm: [
-                LEAST_MM + SIGMAS * sigma_mm[0] + SAG_MM_PER_DEG * beams_deg,
+                LEAST_MM + SIGMAS * sigma_mm[0] + bent_mm,
                 STRAIGHT_MM + STRAIGHT_SHARE * depth_mm.abs() + SIGMAS * sigma_mm[1],
             ],
         }
@@ -325,6 +334,15 @@ mod tests {
         assert!(said(None, &unsure).iter().all(Option::is_none), "a depth that is known to 2 mm");
         let far = [stand(1, 0.0, 0.0), stand(2, 2.0, 0.0), stand(3, 60.0, -8.0)];
         assert!(said(None, &far).iter().all(Option::is_none), "from another side an arm sags so");
+        let lifted = |number, lift_mm, along_mm| {
+            let mut stand = stand(number, 0.0, along_mm);
+            stand.joints.lift_mm = lift_mm;
+            stand
+        };
+        let lifts = [lifted(1, 0.0, 0.0), lifted(2, 400.0, -4.0)];
+        assert!(said(None, &lifts).iter().all(Option::is_none), "an encoder that is 1 % off");
+        let still = [lifted(1, 400.0, 0.0), lifted(2, 400.0, -4.0)];
+        assert!(said(None, &still)[1].is_some(), "the control");
         let nowhere = [stand(1, 0.0, 0.0), stand(2, 0.0, f64::NAN)];
         assert!(said(None, &nowhere).iter().all(Option::is_none), "no place is no depth");
     }

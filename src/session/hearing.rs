@@ -10,8 +10,8 @@ use crate::timeline::unit_of_clock;
 
 /// A line from which nothing could be used for so long is silent, µs.
 pub(super) const SILENT_US: i64 = 3_000_000;
-/// A clock that shows the same time for so long stands still, µs.
-const STILL_US: i64 = 1_000_000;
+/// A clock that shows the same time for so long stands still, µs: one that counts whole seconds, behind a line that delays, does not.
+const STILL_US: i64 = 2_500_000;
 /// A frame takes at most this long from its exposure into the folder when it is exported at once, µs.
 const PROMPT_US: i64 = 2_000_000;
 
@@ -199,7 +199,8 @@ impl Hearing {
                 unknown.contains(device) && fell_into(&silences, *at_us) && !stands_for_another(**number)
             };
             let without = self.frames.iter().filter(lacks).count();
-            let silent_s = silences.iter().map(|s| s.end_us.saturating_sub(s.start_us)).sum::<i64>() as f64 * 1e-6;
+            let silent_s =
+                silences.iter().map(|s| s.end_us.saturating_sub(s.start_us)).fold(0, i64::saturating_add) as f64 * 1e-6;
             match (line.ever, without) {
                 (false, _) if !silences.is_empty() => words.push(format!("{device}: not one packet in {silent_s:.0} s")),
                 (_, 1..) => words.push(format!(
@@ -275,6 +276,8 @@ mod tests {
         assert_eq!(played(|_| 7, |_| 7), (1, 1));
         assert_eq!(played(|at_us| at_us, |_| 7), (0, 0), "what it says of itself has no time that counts");
         assert_eq!(played(|at_us| at_us, |at_us| at_us), (0, 0));
+        assert_eq!(played(|at_us| at_us / 1_000_000 * 1_000_000, |at_us| at_us), (0, 0), "whole seconds");
+        assert_eq!(played(|at_us| at_us / 2_000_000 * 2_000_000, |at_us| at_us), (0, 0), "some of which come late");
     }
 
     #[test]

@@ -89,7 +89,7 @@ pub(super) fn line_losses(link: &Link) -> Option<String> {
 fn mostly_on(exposures: &[ExposureInterval]) -> Option<String> {
     let seen = || exposures.iter().filter(|exposure| exposure.samples > 0);
     let span_us = seen().map(|exposure| exposure.end_us).max()?.saturating_sub(seen().map(|exposure| exposure.start_us).min()?);
-    let on_us: i64 = seen().map(|exposure| exposure.end_us.saturating_sub(exposure.start_us)).sum();
+    let on_us = seen().map(|exposure| exposure.end_us.saturating_sub(exposure.start_us)).fold(0, i64::saturating_add);
     let [on_s, span_s] = [on_us, span_us].map(|us| us as f64 * 1e-6);
     (seen().count() >= LEAST_EXPOSURES && on_s >= MOSTLY * span_s).then(|| {
         format!(

@@ -37,6 +37,13 @@ impl Stand {
             && turned(a.detector_rotation_rad, b.detector_rotation_rad)
     }
 
+    /// How far lift and longitudinal axis are apart; an axis without an encoder counts as none.
+    pub(super) fn travel_mm(&self, other: &Self) -> f64 {
+        let (a, b) = (&self.joints, &other.joints);
+        let apart_mm = [a.lift_mm - b.lift_mm, a.longitudinal_mm - b.longitudinal_mm];
+        apart_mm.iter().filter(|mm| mm.is_finite()).map(|mm| mm.abs()).sum()
+    }
+
     /// Between the two beams.
     pub(super) fn beams_deg(&self, other: &Self) -> f64 {
         self.beam_in_world.angle_between(other.beam_in_world).to_degrees()

@@ -81,10 +81,13 @@ impl Standstill {
     }
 
     fn take(&mut self, now: Stand) -> Option<Contradiction> {
-        // One that is posed anew does not speak for itself.
+        // One that is posed anew does not speak for itself, and it may be wrong anew.
+        self.told.remove(&now.number);
         self.stands.retain(|before| before.number != now.number);
         let moved = self.stands.iter().rev().find(|before| before.is_where(&now)).and_then(|before| self.moved(before, &now));
-        let of_its_depth = || self.enlarged(&now).or_else(|| self.depth_jump.of_now(self.stands.iter(), &now));
+        let is_usual = || self.depth_jump.is_usual(self.stands.iter(), &now);
+        let of_its_depth =
+            || self.enlarged(&now).filter(|_| !is_usual()).or_else(|| self.depth_jump.of_now(self.stands.iter(), &now));
         let said = moved.map(|words| Contradiction { words, of_its_depth: false });
         let said = said.or_else(|| of_its_depth().map(|words| Contradiction { words, of_its_depth: true }));
         let (mut wrong, mut of_before) = (Vec::new(), None);
@@ -127,7 +130,8 @@ impl Standstill {
     /// Words where the specimen is nearer, or farther away, than the frames from similar directions have it.
     fn enlarged(&self, now: &Stand) -> Option<String> {
         let turn_deg = |stand: &Stand| stand.beams_deg(now);
-        let mut others: Vec<&Stand> = self.stands.iter().collect();
+        // Of equal beams the latest.
+        let mut others: Vec<&Stand> = self.stands.iter().rev().collect();
         others.sort_by(|a, b| turn_deg(a).total_cmp(&turn_deg(b)));
         others.truncate(USUAL);
         if others.len() < USUAL {
@@ -267,5 +271,19 @@ mod tests {
             said.words
         );
         assert_eq!(standstill.take(at(3, -14.0, DVec3::ZERO, 0.3)), None, "once");
+    }
+
+    /// The table was raised under a vertical beam, and all that came afterwards was said to be of a wrong scale.
+    #[test]
+    fn once_most_frames_are_on_the_new_side_none_is_said_of_a_specimen_that_was_moved_along_the_beam() {
+        let mut standstill = Standstill::undeclared();
+        let mut said = |number: u32, along_mm: f64| standstill.take(at(number, 0.0, DVec3::Z * along_mm, 0.3));
+        for number in 1..=6 {
+            assert_eq!(said(number, 0.0), None);
+        }
+        let first = said(7, 30.0).expect("raised by 30 mm");
+        assert!(first.words.contains("moved"), "{}", first.words);
+        let told: Vec<u32> = (8..=24).filter(|number| said(*number, 30.0).is_some_and(|said| said.of_its_depth)).collect();
+        assert!(told.iter().all(|number| *number <= 14), "{told:?}");
     }
 }

@@ -89,9 +89,13 @@ impl Weighed<'_> {
             [Length::Unlike, Length::Alike] => return Better::Other("its header states the length of the exposure"),
             _ => {}
         }
+        // A whole minute holds more than one picture, and what is counted apart may be of two exposures.
+        let is_fine = self.known.resolution_us(said) < MINUTE_US;
+        let counted_apart = said.counter.zip(other.counter).is_some_and(|(own, other)| own != other);
+        let one_stamp = said.console_us == other.console_us && is_fine && !counted_apart;
         let one_count = by_count == [true; 2] && said.counter == other.counter;
         let two_lengths = said.stated_length_us.zip(other.stated_length_us).is_some_and(|(own, other)| are_unlike(own, other));
-        if !(said.console_us == other.console_us || one_count) || two_lengths {
+        if !(one_stamp || one_count) || two_lengths {
             return Better::Neither;
         }
         match said.content < other.content {

@@ -404,30 +404,8 @@ mod tests {
     /// A last image held after four seconds of fluoroscopy was drawn with the robot of two seconds before.
     #[test]
     fn the_last_image_held_of_a_long_beam_is_of_its_end_and_a_radiograph_of_its_middle() {
-        let exposure = |beam_us: i64| ExposureInterval {
-            index: 0,
-            counter: Some(7),
-            epoch: 0,
-            start_us: 1_000_000,
-            end_us: 1_000_000 + beam_us,
-            segment: 0,
-            device_us: [0, beam_us],
-            start_uncertainty_us: 1e4,
-            end_uncertainty_us: 1e4,
-            open: false,
-            start_seen: true,
-            end_seen: true,
-            samples: 30,
-            tube_kvp: 70.0,
-            tube_ma: 2.0,
-            joints: None,
-            beam: None,
-            joint_range: [0.0; 7],
-            control_angles_deg: None,
-            tracker_from_base: None,
-        };
         let time = |tags: &FrameTags, images: u32, beam_us: i64| {
-            let (said, exposure) = (FrameEvidence::of(1, tags, "a", [0, images], None), exposure(beam_us));
+            let (said, exposure) = (FrameEvidence::of(1, tags, "a", [0, images], None), ExposureInterval::seen_for(beam_us));
             let span_us = [exposure.start_us, exposure.end_us];
             let flags = flags_of(&said, &exposure, span_us);
             let is_held = flags.contains(&BindingFlag::LastImage { beam_us });

@@ -436,3 +436,32 @@ fn between(a_us: i64, b_us: i64) -> (i64, f64) {
     let span_us = b_us.saturating_sub(a_us);
     (a_us.saturating_add(span_us / 2), 0.5 * span_us.saturating_abs() as f64)
 }
+
+#[cfg(test)]
+impl ExposureInterval {
+    /// Both ends of which telemetry has seen to 10 ms, for tests.
+    pub(super) fn seen_for(beam_us: i64) -> Self {
+        Self {
+            index: 0,
+            counter: Some(7),
+            epoch: 0,
+            start_us: 1_000_000,
+            end_us: 1_000_000 + beam_us,
+            segment: 0,
+            device_us: [0, beam_us],
+            start_uncertainty_us: 1e4,
+            end_uncertainty_us: 1e4,
+            open: false,
+            start_seen: true,
+            end_seen: true,
+            samples: 30,
+            tube_kvp: 70.0,
+            tube_ma: 2.0,
+            joints: None,
+            beam: None,
+            joint_range: [0.0; 7],
+            control_angles_deg: None,
+            tracker_from_base: None,
+        }
+    }
+}

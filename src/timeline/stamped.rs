@@ -354,9 +354,9 @@ impl Weighed<'_> {
                     ));
                     return none(words);
                 }
-                if let Some(sooner) =
-                    usual_us.or_else(|| self.first_delays_us()).and_then(|usual_us| self.came_too_soon(*at, &usual_us))
-                {
+                // At the end few frames are no measure against a stamp that nothing competes with.
+                let few = || self.first_delays_us().filter(|_| !self.known.finished || prompt.iter().any(|other| other != at));
+                if let Some(sooner) = usual_us.or_else(few).and_then(|usual_us| self.came_too_soon(*at, &usual_us)) {
                     words.push(sooner);
                     return none(words);
                 }

@@ -56,28 +56,7 @@ mod tests {
 
     #[test]
     fn a_stated_length_is_unlike_only_where_it_is_far_off_in_time_and_in_ratio() {
-        let exposure = |beam_us: i64, end_seen: bool| ExposureInterval {
-            index: 0,
-            counter: Some(3),
-            epoch: 0,
-            start_us: 5_000_000,
-            end_us: 5_000_000 + beam_us,
-            segment: 0,
-            device_us: [0, beam_us],
-            start_uncertainty_us: 16_700.0,
-            end_uncertainty_us: 16_700.0,
-            open: false,
-            start_seen: true,
-            end_seen,
-            samples: 30,
-            tube_kvp: 70.0,
-            tube_ma: 2.0,
-            joints: None,
-            beam: None,
-            joint_range: [0.0; 7],
-            control_angles_deg: None,
-            tracker_from_base: None,
-        };
+        let exposure = |beam_us: i64, end_seen: bool| ExposureInterval { end_seen, ..ExposureInterval::seen_for(beam_us) };
         let mut asked = 0;
         for (stated_ms, beam_us, expected) in [
             (1007.0, 1_000_000, Length::Alike),

@@ -131,13 +131,18 @@ fn from_exposures(groups: &[Group]) -> Result<Offset, DetectorError> {
     beams.sort_by(|a, b| a.scatter().total_cmp(&b.scatter()));
     loop {
         let found = of_exposures(best_of(&beams));
-        let others = beams.len().saturating_sub(1);
-        if found.is_ok() || beams[..others].iter().map(|beam| beam.freedom).sum::<usize>() <= STUDENT.len() {
+        let Some((worst, others)) = beams.split_last().filter(|_| found.is_err()) else { return found };
+        // Where all of them scatter, the worst is no exception.
+        let (freedom, scatter) = pooled(others);
+        if freedom <= STUDENT.len() || !(worst.scatter() > EXCEPTION * scatter) {
             return found;
         }
-        beams.truncate(others);
+        beams.pop();
     }
 }
+
+/// A beam whose frames scatter by twice the share of the others', its square, is left out.
+const EXCEPTION: f64 = 4.0;
 
 /// The line of a beam's medians by their mAs.
 struct OfExposures {
@@ -171,10 +176,16 @@ impl OfExposures {
     }
 }
 
+/// Degrees of freedom of all beams, and the square of the share by which their output scatters.
+fn pooled(beams: &[OfExposures]) -> (usize, f64) {
+    let freedom = beams.iter().map(|beam| beam.freedom).sum::<usize>();
+    (freedom, beams.iter().map(|beam| beam.line.chi2).sum::<f64>() / freedom as f64)
+}
+
 /// The intercept of the beam that gives it best, its standard deviation by the scatter of all of them, and the beam's largest value.
 fn best_of(beams: &[OfExposures]) -> Option<(f64, f64, f64)> {
-    let freedom = beams.iter().map(|beam| beam.freedom).sum::<usize>();
-    let share = (beams.iter().map(|beam| beam.line.chi2).sum::<f64>() / freedom as f64).sqrt();
+    let (freedom, scatter) = pooled(beams);
+    let share = scatter.sqrt();
     let sigma = |beam: &OfExposures| student(freedom) * share * beam.line.intercept_sigma();
     let found = beams.iter().map(|beam| (beam.line.intercept, sigma(beam), beam.largest));
     found.min_by(|a, b| a.1.total_cmp(&b.1))

@@ -4,8 +4,10 @@ use super::Engine;
 use crate::telemetry::DeviceKind;
 use crate::timeline::BindingFlag;
 
-/// Frames of an equal count that prove that the console writes the arm's own, and frames beyond it that are no chance.
+/// Frames of an equal count that prove that the console writes the arm's own.
 const FEW: usize = 2;
+/// Frames beyond it that are more than references which somebody has stored.
+const LEAST_ON: usize = 3;
 /// From one frame to the next, at most so many exposures are passed over: pictures that were not exported.
 const MOST_MISSING: u32 = 3;
 
@@ -42,8 +44,7 @@ impl Engine {
     pub(super) fn counted_on(&self) -> Option<CountedOn> {
         let stood_at = self.timeline.carm().newest()?.value.exposure_counter?;
         let told_until_us = self.timeline.told_until_us(DeviceKind::Carm)?;
-        let exposures = self.timeline.exposures();
-        let latest = exposures.last().filter(|latest| latest.counter == Some(stood_at))?;
+        let latest_us = self.timeline.exposures().last().filter(|latest| latest.counter == Some(stood_at))?.end_us;
         let same = |number: &u32| {
             let of_arm = self.binder.binding(*number)?.exposure.as_ref()?.counter?;
             Some(self.counts.get(number)?.0 == of_arm)
@@ -62,10 +63,10 @@ impl Engine {
         let count = |number: u32| {
             let (counter, host_us) = *self.counts.get(&number)?;
             // What came before telemetry had passed it, or before the latest exposure was over, proves nothing.
-            (latest.end_us..=told_until_us).contains(&host_us).then_some((number, counter))
+            (latest_us..=told_until_us).contains(&host_us).then_some((number, counter))
         };
         let frames = going_on(stood_at, self.unbound.keys().copied().filter(is_open).filter_map(count));
-        (frames.len() >= FEW).then_some(CountedOn { stood_at, frames })
+        (frames.len() >= LEAST_ON).then_some(CountedOn { stood_at, frames })
     }
 
     /// That frames count on, in words.
@@ -73,8 +74,9 @@ impl Engine {
     pub fn frames_that_count_on(&self) -> Option<String> {
         let CountedOn { stood_at, frames } = self.counted_on()?;
         Some(format!(
-            "{} frames count on where the C-arm's counter has stood still at {stood_at}, though its packets came: is its telemetry frozen? \
-             Restart what sends it. Their pairs have no joints, robot or beam of telemetry",
+            "{} frames count on where the C-arm's counter has stood still at {stood_at}, though its packets came: is its telemetry frozen, or \
+             does the console count pictures that it only stores? If the joints that are shown stand still while the arm moves, restart what sends \
+             them. Their pairs have no joints, robot or beam of telemetry",
             frames.len()
         ))
     }

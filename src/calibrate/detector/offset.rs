@@ -281,6 +281,14 @@ mod tests {
         assert!(found(&[wrong, few]).is_err(), "which of the two is wrong nobody knows");
     }
 
+    /// Left out one after the other, the rest were sure by chance.
+    #[test]
+    fn where_all_beams_scatter_the_worst_is_no_exception() {
+        let alike = [0.02, 0.04, 0.045, 0.05, 0.055].map(|share| many(1000.0, share));
+        assert!(found(&alike).is_err());
+        assert!(found(&alike[..2]).is_ok(), "the control");
+    }
+
     #[test]
     fn exposures_that_do_not_determine_an_offset_give_none() {
         let same = vec![[2.0, 900.0], [2.0, 905.0], [2.01, 903.0], [2.0, 898.0]];

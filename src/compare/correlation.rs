@@ -1,6 +1,6 @@
 //! Correlation of two images, by their values and by their ranks.
 
-use crate::image::Image;
+use crate::image::{Image, in_order};
 
 /// At most so many pixels are ranked.
 const MOST: usize = 20_000;
@@ -72,10 +72,9 @@ fn sort_by_value(words: &mut Vec<u64>) {
     }
 }
 
-/// Words in the order of [`f32::total_cmp`], but that both zeros are equal.
+/// Words in the order of values; both zeros are equal.
 fn sortable(value: f32) -> u32 {
-    let bits = (value + 0.0).to_bits();
-    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
+    in_order(value + 0.0)
 }
 
 /// Spearman's correlation of two images, given their [`ranks`] on the same pixels: blind to any monotone tone.

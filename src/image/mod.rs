@@ -18,7 +18,7 @@ pub use files::{
 };
 
 pub use new_file::{NewFile, UNNAMED, sync_folder};
-pub use quantile::quantile;
+pub use quantile::{in_order, quantile};
 pub use temporary::{Temporary, TemporaryFolder, remove_temporaries, temporary_file, temporary_folder};
 pub use ticks::round_down;
 pub use vectors::{exp, on_widest_vectors};

@@ -37,7 +37,8 @@ fn at_rank_of_many(values: &[f32], rank: usize) -> f32 {
 }
 
 /// Words in the order of [`f32::total_cmp`].
-fn in_order(value: f32) -> u32 {
+#[must_use]
+pub fn in_order(value: f32) -> u32 {
     let bits = value.to_bits();
     if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
 }

@@ -23,11 +23,14 @@ pub(super) fn heard_of_k(request: &Registration, settled: &Settled) -> (Option<N
     if !request.is_k_of_header || settled.options.free != Free::Pose {
         return (None, None);
     }
+    // It counts at landmarks alone.
+    if request.landmarks.is_empty() {
+        return (None, Some(Word::Note(format!("{HEADER_K}; {MEASURE_K}"))));
+    }
     let taken = taken_for(request.size_px, settled.solution.intrinsics);
     let k = Nuisance::of(settled, &Unmeasured::K(taken));
     let word = match &k {
         Some(k) => moves(k, request, &settled.solution, &taken),
-        None if request.landmarks.is_empty() => Word::Note(format!("{HEADER_K}; {MEASURE_K}")),
         None => {
             Word::Doubt(format!("{HEADER_K}, and how far another would move places beside the beads cannot be told: {MEASURE_K}"))
         }

@@ -7,15 +7,11 @@
 
 use glam::DVec3;
 
-use super::stand::Stand;
+use super::stand::{SAG_MM_PER_DEG, SIGMAS, Stand};
 use crate::geometry::Rigid;
 
-/// Less than this is no jump in depth, however well the poses are known …
+/// Less than this is no jump in depth, however well the poses are known.
 const LEAST_MM: f64 = 2.0;
-/// … and so many standard deviations of both are added to it.
-const SIGMAS: f64 = 4.0;
-/// A mobile arm sags by 16 mm, differently at every angle: so much more for each degree between the beams.
-const SAG_MM_PER_DEG: f64 = 0.1;
 /// What encoders that nobody has calibrated make of a way along the lift or the longitudinal axis, as a share of it.
 const TRAVEL_SHARE: f64 = 0.02;
 /// Nothing but the depth differs where the specimen is turned by no more …

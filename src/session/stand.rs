@@ -8,6 +8,11 @@ use crate::geometry::{CarmJoints, Rigid};
 const SAME_MM: f64 = 10.0;
 const SAME_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
+/// A mobile arm sags by 16 mm, differently at every angle: so much more is allowed for each degree between two beams.
+pub(super) const SAG_MM_PER_DEG: f64 = 0.1;
+/// Standard deviations of both poses that are added to what two frames may differ by.
+pub(super) const SIGMAS: f64 = 4.0;
+
 /// A frame's word of where the specimen is.
 #[derive(Clone, Debug)]
 pub(super) struct Stand {

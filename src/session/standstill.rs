@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use super::depth_jump::DepthJump;
 use super::posed::Posed;
-use super::stand::Stand;
+use super::stand::{SAG_MM_PER_DEG, SIGMAS, Stand};
 use crate::estimate::median;
 use crate::geometry::Rigid;
 
@@ -22,12 +22,8 @@ const MOVED_DEG: f64 = 1.5;
 const NEARER_MM: f64 = 3.0;
 /// Along the beam, between stands, with so many robust standard deviations of how far the others lie apart.
 const OTHER_DEPTH: (f64, f64) = (4.0, 3.0);
-/// A mobile arm sags by 16 mm, differently at every angle: so much more for each degree between the beams.
-const SAG_MM_PER_DEG: f64 = 0.1;
 /// So many others, those with the nearest beams, tell what is usual.
 const USUAL: usize = 4;
-/// Standard deviations of both poses that are added to it.
-const SIGMAS: f64 = 4.0;
 /// Frames that are remembered.
 const KEPT: usize = 32;
 

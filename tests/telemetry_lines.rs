@@ -145,6 +145,46 @@ fn a_carm_of_words_has_its_values() {
     assert_eq!((carms[2].xray_on, carms[2].exposure_counter), (false, None));
 }
 
+/// An arm whose distance is fixed and that has no encoder for it had a prior without one.
+#[test]
+fn what_no_line_says_and_stands_still_may_be_declared() {
+    let mut declaration = shipped("generic-carm-regex.json");
+    declaration["carm"]["wig_wag"] = json!({"constant": -0.25, "unit": "rad"});
+    declaration["carm"]["source_to_detector"] = json!({"constant": 40, "unit": "in"});
+    let heard = Heard::of(&declaration, b"t=123456 orb=120.25 ang=12.5 lift=12.05cm sid=39in kV=74 x=ON exp=17\n");
+    let joints = heard.carms()[0].joints;
+    assert_eq!((joints.wig_wag_rad, joints.source_to_detector_mm), (-0.25, 1016.0));
+    let unknowns = adapter(&declaration).unknowns();
+    let said = unknowns.iter().find(|(kind, _)| *kind == "constants").map(|(_, words)| words.as_str());
+    let expected =
+        "the C-arm's lines do not say carm.wig_wag (-0.25 rad), carm.source_to_detector (40 in): taken as its adapter declares";
+    assert_eq!(said, Some(expected), "it is said of a session that they are nobody's measurement");
+    assert!(adapter(&shipped("generic-carm-regex.json")).unknowns().iter().all(|(kind, _)| *kind != "constants"), "the control");
+    // A log that is given away reads its lines as before.
+    let nameless = adapter(&declaration).nameless("nobody").expect("without names");
+    assert_eq!(
+        nameless.declaration().carm.as_ref().map(|carm| carm.wig_wag.clone()),
+        Some(adapter(&declaration).declaration().carm.as_ref().expect("an arm").wig_wag.clone())
+    );
+}
+
+#[test]
+fn a_constant_is_the_value_itself_and_no_telemetry_alone() {
+    let refused = |place: &str, source: Value| {
+        let mut declaration = clocked();
+        *declaration.pointer_mut(place).expect("a place") = source;
+        serde_json::from_value::<LineAdapter>(declaration).expect_err("refused").to_string()
+    };
+    let first = "/robot/sensed_angles/0";
+    let words = refused(first, json!({"constant": 3.0, "unit": "deg", "scale": 0.1}));
+    assert!(words.contains("robot.sensed_angles[0].constant") && words.contains("leave out scale"), "{words}");
+    assert!(refused(first, json!({"constant": 3.0, "from": "a", "unit": "deg"})).contains("one of the keys from and constant"));
+    assert!(refused(first, json!({"unit": "deg"})).contains("one of the keys from and constant"));
+    assert!(refused(first, json!({"constant": 3.0})).contains("no unit is stated"));
+    let all = json!([1.0, 2.0, 3.0, 4.0, 5.0].map(|angle| json!({"constant": angle, "unit": "deg"})));
+    assert!(refused("/robot/sensed_angles", all).contains("constants alone"));
+}
+
 /// Lines that are none, of the columns `t n a b c d e`, and what is said of each.
 const BAD: [(&[u8], &str); 16] = [
     (b"100,1,1,2,3,4", "6 columns, expected 7"),

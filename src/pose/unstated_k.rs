@@ -116,7 +116,8 @@ mod tests {
     fn squares(seed: u64, k: &Intrinsics, lps_mm: DVec3) -> [[f64; 2]; 2] {
         let (settled, pose) = settled(seed, k);
         let layout = BeadLayout::none();
-        let open = heard_of_k(&request(&layout, &[]), &settled).0.expect("regular");
+        let landmarks = [Landmark { name: "tip".to_owned(), lps_mm }];
+        let open = heard_of_k(&request(&layout, &landmarks), &settled).0.expect("regular");
         let solution = &settled.solution;
         let known = solution.sharpness(lps_mm, &(&solution.covariance * settled.chi2_per_dof.max(1.0)));
         let off = k.project(pose.transform_point(lps_mm)) - solution.place(lps_mm).0;
@@ -174,6 +175,7 @@ mod tests {
         assert_eq!(said(BEYOND, false), None, "somebody states K");
         assert!(matches!(said(DVec3::new(400.0, 0.0, 0.0), true), Some(Word::Note(_))), "not in the picture");
         let solved = Settled { options: Options::least_squares(Free::Square), ..settled };
-        assert!(heard_of_k(&request(&layout, &[]), &solved).0.is_none(), "solved from the beads");
+        let landmarks = [Landmark { name: "tip".to_owned(), lps_mm: AMONG }];
+        assert!(heard_of_k(&request(&layout, &landmarks), &solved).0.is_none(), "solved from the beads");
     }
 }

@@ -35,6 +35,8 @@ struct Parts {
     sequence: Option<Cyclic>,
     plan: Plan,
     device: DeviceKind,
+    /// What no line says, in words.
+    constants: Vec<String>,
 }
 
 impl PartialEq for LineAdapter {
@@ -70,8 +72,9 @@ impl TryFrom<Declaration> for LineAdapter {
                 return Err(AdapterError::new("the top level", "expected one of the keys robot and carm: whose lines these are"));
             }
         };
+        let constants = std::mem::take(&mut names.constants);
         let splitter = Splitter::new(&declaration.format, &declaration.ignore, names)?;
-        Ok(Self(Arc::new(Parts { declaration, splitter, time, sequence, plan, device })))
+        Ok(Self(Arc::new(Parts { declaration, splitter, time, sequence, plan, device, constants })))
     }
 }
 
@@ -173,7 +176,7 @@ impl LineAdapter {
     /// What cannot be known of this device because its lines do not say it: of what, and a sentence.
     #[must_use]
     pub fn unknowns(&self) -> Vec<(&'static str, String)> {
-        let Parts { device, declaration, .. } = &*self.0;
+        let Parts { device, declaration, constants, .. } = &*self.0;
         let mut words = Vec::new();
         if let Some(sigma_us) = self.host_time_sigma_us() {
             let sigma_ms = sigma_us * 1e-3;
@@ -186,6 +189,12 @@ impl LineAdapter {
             words.push((
                 "no line number",
                 format!("the {device}'s lines carry no number: what of them is lost on the way cannot be known"),
+            ));
+        }
+        if !constants.is_empty() {
+            words.push((
+                "constants",
+                format!("the {device}'s lines do not say {}: taken as its adapter declares", constants.join(", ")),
             ));
         }
         if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none() && carm.exposure_counter.is_none()) {

@@ -79,33 +79,43 @@ pub struct RegexFormat {
 #[serde(deny_unknown_fields)]
 pub struct JsonFormat {}
 
-/// A measured number: `sign · scale · read + offset`, in its unit.
+/// A measured number: `sign · scale · read + offset`, in its unit; or one that stands still and that no line says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct Source {
     /// Column, group or path.
-    pub from: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<String>,
+    /// In its place: the value itself, in `unit`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub constant: Option<f64>,
     /// Unit of the result; none for what has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
     /// Units per count of what is read; positive.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(skip_serializing_if = "is_one")]
     pub scale: f64,
     /// 1 or −1.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(skip_serializing_if = "is_one")]
     pub sign: f64,
     /// Added at the end, in `unit`.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_zero")]
     pub offset: f64,
     /// Smallest result that is believed, in `unit`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub min: Option<f64>,
     /// Largest result that is believed, in `unit`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub max: Option<f64>,
     /// An empty, absent or null value is one that was not measured; else the line is no sample.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "is_false")]
     pub optional: bool,
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        Self { from: None, constant: None, unit: None, scale: 1.0, sign: 1.0, offset: 0.0, min: None, max: None, optional: false }
+    }
 }
 
 /// The device's clock.
@@ -295,10 +305,6 @@ fn comma() -> String {
 
 fn point() -> String {
     ".".to_owned()
-}
-
-fn one() -> f64 {
-    1.0
 }
 
 fn is_point(text: &str) -> bool {

@@ -42,7 +42,7 @@ fn wrong(field: &str, found: &str, expected: impl Into<String>) -> LineFault {
 /// Where a number comes from.
 #[derive(Clone, Debug)]
 pub(super) struct Number {
-    index: usize,
+    place: Place,
     field: String,
     /// Sign and scale.
     slope: f64,
@@ -53,6 +53,15 @@ pub(super) struct Number {
     max: f64,
     unit: String,
     optional: bool,
+}
+
+/// Where it stands.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// Among the texts of a line.
+    Line(usize),
+    /// In the declaration, in the declared unit.
+    Declaration(f64),
 }
 
 impl Number {
@@ -73,7 +82,7 @@ impl Number {
             return Err(at("min", format!("is {min}, expected less than max, {max}")));
         }
         Ok(Self {
-            index: names.index(&source.from, field),
+            place: place(source, field, names)?,
             field: field.to_owned(),
             slope: source.sign * source.scale,
             offset: source.offset,
@@ -85,12 +94,21 @@ impl Number {
         })
     }
 
+    /// Whether a line says it.
+    pub(super) fn is_read(&self) -> bool {
+        matches!(self.place, Place::Line(_))
+    }
+
     /// In the program's unit; NaN where it was not measured and need not be.
     pub(super) fn read(&self, texts: &Texts<'_>) -> Result<f64, LineFault> {
-        if self.optional && texts.get(self.index).is_none() {
+        let index = match self.place {
+            Place::Declaration(constant) => return Ok(constant * self.factor),
+            Place::Line(index) => index,
+        };
+        if self.optional && texts.get(index).is_none() {
             return Ok(f64::NAN);
         }
-        let text = texts.needed(self.index, &self.field)?;
+        let text = texts.needed(index, &self.field)?;
         let declared = self.slope * texts.number(text, &self.field)? + self.offset;
         if !(declared >= self.min && declared <= self.max) {
             return Err(wrong(&self.field, text, format!("{} to {}{}", self.min, self.max, self.unit)));
@@ -98,6 +116,28 @@ impl Number {
         let value = declared * self.factor;
         if value.is_finite() { Ok(value) } else { Err(wrong(&self.field, text, "a finite number")) }
     }
+}
+
+fn place(source: &Source, field: &str, names: &mut Names) -> Result<Place, AdapterError> {
+    let constant = match (&source.from, source.constant) {
+        (Some(from), None) => return Ok(Place::Line(names.index(from, field))),
+        (None, Some(constant)) => constant,
+        _ => {
+            let detail = "expected one of the keys from and constant: where a line says it, or what it is where none does";
+            return Err(AdapterError::new(field, detail));
+        }
+    };
+    let at = |detail: String| AdapterError::new(format!("{field}.constant"), detail);
+    if !constant.is_finite() {
+        return Err(at(format!("is {constant}, expected a finite number")));
+    }
+    let plain = Source { from: None, constant: Some(constant), unit: source.unit.clone(), ..Source::default() };
+    if *source != plain {
+        return Err(at("is the value itself: leave out scale, sign, offset, min, max and optional".to_owned()));
+    }
+    let unit = source.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
+    names.constants.push(format!("{field} ({constant}{unit})"));
+    Ok(Place::Declaration(constant))
 }
 
 /// Where it stands whether something is.

@@ -103,6 +103,12 @@ impl RobotPlan {
             let detail = "says no angles, expected sensed_angles, commanded_angles or both: nothing else bends the robot";
             return Err(AdapterError::new("robot", detail));
         }
+        for angles in commanded.iter().chain(&sensed) {
+            if !angles.iter().any(Number::is_read) {
+                let detail = "holds constants alone: give control_angles_deg in the scene to a robot that does not move";
+                return Err(AdapterError::new("robot", detail));
+            }
+        }
         let tendon = |fields: &TendonFields, at: usize, names: &mut Names| {
             let mut one = |source: &Option<Source>, quantity, key: &str| {
                 number(source.as_ref(), quantity, &format!("robot.tendons[{at}].{key}"), names)
@@ -251,8 +257,8 @@ impl CarmPlan {
             one(&fields.filter_copper, Quantity::Length, "filter_copper")?,
         ];
         let xray_on = flag(fields.xray_on.as_ref(), "carm.xray_on", names)?;
-        if joints.iter().all(Option::is_none) && xray_on.is_none() {
-            return Err(AdapterError::new("carm", "says neither a joint nor xray_on, expected one of them at least"));
+        if !joints.iter().flatten().any(Number::is_read) && xray_on.is_none() {
+            return Err(AdapterError::new("carm", "reads neither a joint nor xray_on, expected one of them at least"));
         }
         Ok(Self {
             joints,

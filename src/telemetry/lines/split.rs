@@ -17,24 +17,29 @@ pub(super) fn text_of_line(line: &[u8]) -> Option<&str> {
 
 /// The names that are read of each line: the texts of a line are in their order.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Names(Vec<(String, String)>);
+pub(super) struct Names {
+    /// Each with the key that names it.
+    read: Vec<(String, String)>,
+    /// What no line says, in words.
+    pub(super) constants: Vec<String>,
+}
 
 impl Names {
     /// The place of `from` among the texts; `place` is the key that names it.
     pub(super) fn index(&mut self, from: &str, place: &str) -> usize {
-        self.0.iter().position(|(known, _)| known == from).unwrap_or_else(|| {
-            self.0.push((from.to_owned(), place.to_owned()));
-            self.0.len() - 1
+        self.read.iter().position(|(known, _)| known == from).unwrap_or_else(|| {
+            self.read.push((from.to_owned(), place.to_owned()));
+            self.read.len() - 1
         })
     }
 
     fn texts(&self) -> impl ExactSizeIterator<Item = &str> {
-        self.0.iter().map(|(from, _)| from.as_str())
+        self.read.iter().map(|(from, _)| from.as_str())
     }
 
     /// The first one that is not among `known`.
     fn refuse_unknown(&self, known: &[&str], what: &str) -> Result<(), AdapterError> {
-        match self.0.iter().find(|(from, _)| !known.contains(&from.as_str())) {
+        match self.read.iter().find(|(from, _)| !known.contains(&from.as_str())) {
             Some((from, place)) => {
                 let detail = format!("\"{from}\" is none of the {what} {}", known.join(", "));
                 Err(AdapterError::new(format!("{place}.from"), detail))
@@ -183,7 +188,7 @@ impl Splitter {
 
     /// What a name is called in the line.
     pub(super) fn name(&self, index: usize) -> &str {
-        self.names.0.get(index).map_or("", |(from, _)| from)
+        self.names.read.get(index).map_or("", |(from, _)| from)
     }
 }
 

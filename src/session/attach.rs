@@ -138,7 +138,7 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
             reporter.warn("another study", words);
         }
         let said = FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None);
-        session.binder.push(session.zone.steady(&frame.tags, said));
+        session.binder.push_of(frame.tags.study.as_deref(), session.zone.steady(&frame.tags, said));
     }
     session.timeline.finish();
     session.binder.finish(&session.timeline);
@@ -288,7 +288,8 @@ impl Recorded {
         let evidence = FrameEvidence::of(number, &frame.tags, &content, image_of(&frame), Some(host_us));
         self.numbers.insert(frame.number, number);
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
-        self.binder.push(FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) });
+        let evidence = FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) };
+        self.binder.push_of(frame.tags.study.as_deref(), evidence);
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, number);
         }

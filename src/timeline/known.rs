@@ -37,6 +37,11 @@ impl Pending {
     pub fn new(evidence: FrameEvidence, binding: Binding) -> Self {
         Self { evidence, prompt: None, running: None, binding, images: Vec::new(), apart: Vec::new() }
     }
+
+    /// The exposures that it has: one, or as many as the images of its file where each has its own.
+    pub fn exposures(&self) -> &[ExposureInterval] {
+        if self.apart.is_empty() { self.binding.exposure.as_slice() } else { &self.apart }
+    }
 }
 
 /// What is known so far.

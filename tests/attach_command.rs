@@ -165,6 +165,8 @@ fn a_stated_zone_is_no_error_of_the_clock_and_a_picture_that_says_nothing_is_sai
     assert!(clock.contains("s ahead of the host's in its zone, UTC+05:30, from "), "{told}");
     let ahead_s: f64 = clock["console clock: ".len()..].split(' ').next().and_then(|s| s.parse().ok()).expect("seconds");
     assert!((ahead_s - 22.0).abs() < 1.0, "{told}");
+    let rows = told.lines().filter(|line| line.contains("(its clock is "));
+    assert!(rows.clone().count() > 0 && rows.clone().all(|row| row.contains(" in its zone, UTC+05:30, from ")), "{told}");
     assert_eq!(told.matches("no time and no counter in this picture: nothing ties it").count(), 1, "{told}");
     let (_, json, _) = attach(&log, &exported, &[]);
     assert_eq!(json["console_zone_min"], 330, "{json:#}");

@@ -89,18 +89,7 @@ fn table(report: &AttachReport) {
         report.frames.len()
     );
     if let Some(clock) = report.console {
-        let frames = clock.frames;
-        match report.console_zone_min {
-            // The zone is no error of the clock.
-            Some(minutes) => {
-                println!(
-                    "console clock: {} in its zone, {}, from {frames} frames",
-                    clock.in_zone(minutes).words(),
-                    zone(minutes)
-                );
-            }
-            None => println!("console clock: {}, zone and all, from {frames} frames", clock.words()),
-        }
+        println!("console clock: {}, from {} frames", clock.words_beside_zone(report.console_zone_min), clock.frames);
     }
     for frame in &report.frames {
         println!("{}", row(frame));
@@ -127,12 +116,6 @@ fn table(report: &AttachReport) {
         let named = without.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
         println!("{} of {} exposures still have no frame ({named}{more})", without.len(), report.exposures);
     }
-}
-
-/// Minutes east of UTC as `UTC+05:30`.
-fn zone(minutes: i32) -> String {
-    let sign = if minutes < 0 { '-' } else { '+' };
-    format!("UTC{sign}{:02}:{:02}", minutes.unsigned_abs() / 60, minutes.unsigned_abs() % 60)
 }
 
 fn row(frame: &Attached) -> String {

@@ -142,7 +142,9 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         }
         let said = FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None);
         session.studies.meet(*number, frame.tags.study.as_deref());
-        session.binder.push_of(frame.tags.study.as_deref(), session.zone.steady(&frame.tags, said));
+        let said = session.zone.steady(&frame.tags, said);
+        session.binder.note_zone(session.zone.minutes());
+        session.binder.push_of(frame.tags.study.as_deref(), said);
     }
     session.timeline.finish();
     session.binder.finish(&session.timeline);
@@ -298,6 +300,7 @@ impl Recorded {
         self.studies.meet(number, frame.tags.study.as_deref());
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
         let evidence = FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) };
+        self.binder.note_zone(self.zone.minutes());
         self.binder.push_of(frame.tags.study.as_deref(), evidence);
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, number);

@@ -30,6 +30,7 @@ pub struct Binder {
     together: ConsoleBinder,
     /// Those of each study by themselves; those without one are as of one study.
     alone: BTreeMap<Option<String>, ConsoleBinder>,
+    zone_min: Option<i32>,
 }
 
 impl Binder {
@@ -46,8 +47,17 @@ impl Binder {
 
     /// Takes a frame of a study (its identifier, or the hash of that); frames are pushed in the order of their arrival, images of a run one by one.
     pub fn push_of(&mut self, study: Option<&str>, evidence: FrameEvidence) {
-        self.alone.entry(study.map(str::to_owned)).or_default().push(evidence.clone());
+        let alone = self.alone.entry(study.map(str::to_owned)).or_default();
+        alone.note_zone(self.zone_min);
+        alone.push(evidence.clone());
         self.together.push(evidence);
+    }
+
+    /// Notes the time zone that stamps are in, where files state one, minutes east of UTC: what is said of the console's clock states it apart.
+    pub fn note_zone(&mut self, minutes: Option<i32>) {
+        self.zone_min = minutes;
+        self.together.note_zone(minutes);
+        self.alone.values_mut().for_each(|alone| alone.note_zone(minutes));
     }
 
     /// The picture of `content`, which says nothing of its exposure, came again as `frame`, which does: the first one is the copy, unless it has

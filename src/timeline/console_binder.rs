@@ -166,6 +166,11 @@ impl ConsoleBinder {
         self.known.clock()
     }
 
+    /// The time zone that the stamps are in, where files state one, minutes east of UTC: it is no error of the clock.
+    pub(super) fn note_zone(&mut self, minutes: Option<i32>) {
+        self.known.zone_min = minutes;
+    }
+
     /// How many frames it was given, but for copies.
     pub(super) fn frames(&self) -> usize {
         self.known.frames.len()

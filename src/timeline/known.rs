@@ -57,6 +57,8 @@ pub(super) struct Known {
     pub contents: BTreeMap<String, (u32, BTreeMap<u32, u32>)>,
     /// The console's offset, a new one whenever its clock was set.
     pub offsets: Vec<ConsoleOffset>,
+    /// The time zone of its stamps where files state one, minutes east of UTC.
+    pub zone_min: Option<i32>,
     pub counting: Counting,
     /// Frames by the console's stamp: a later stamp is a later exposure.
     pub by_stamp: BTreeMap<i64, Vec<u32>>,

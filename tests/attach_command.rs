@@ -165,9 +165,59 @@ fn a_stated_zone_is_no_error_of_the_clock_and_a_picture_that_says_nothing_is_sai
     assert!(clock.contains("s ahead of the host's in its zone, UTC+05:30, from "), "{told}");
     let ahead_s: f64 = clock["console clock: ".len()..].split(' ').next().and_then(|s| s.parse().ok()).expect("seconds");
     assert!((ahead_s - 22.0).abs() < 1.0, "{told}");
+    let rows = told.lines().filter(|line| line.contains("(its clock is "));
+    assert!(rows.clone().count() > 0 && rows.clone().all(|row| row.contains(" in its zone, UTC+05:30, from ")), "{told}");
     assert_eq!(told.matches("no time and no counter in this picture: nothing ties it").count(), 1, "{told}");
     let (_, json, _) = attach(&log, &exported, &[]);
     assert_eq!(json["console_zone_min"], 330, "{json:#}");
+}
+
+/// Puts the file into this study.
+fn put_into(path: &Path, study: &str) {
+    let mut object = dicom_object::open_file(path).expect("a DICOM file");
+    object.put(DataElement::new(tags::STUDY_INSTANCE_UID, VR::UI, PrimitiveValue::from(study)));
+    object.write_to_file(path).expect("written");
+}
+
+/// Three pictures of another room in the folder ended with "finished with loss", though nothing of the session was lost.
+#[test]
+fn frames_of_another_study_are_no_loss_where_each_exposure_has_its_frame() {
+    let folder = tempfile::tempdir().expect("folder");
+    let starts_s = irregular();
+    let log = log(folder.path(), &starts_s);
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    for (index, start_s) in starts_s.iter().enumerate() {
+        let name = format!("img{index:03}.dcm");
+        export(&exported, &name, *start_s, 271.3, index as u16);
+        put_into(&exported.join(name), "2.25.71");
+    }
+    for (nth, start_s) in starts_s.iter().enumerate().take(3) {
+        let name = format!("other{nth}.dcm");
+        export(&exported, &name, *start_s, 5_000.0, 500 + nth as u16);
+        put_into(&exported.join(name), "2.25.72");
+    }
+    let (code, json, words) = attach(&log, &exported, &[]);
+    let tied = |json: &Value| {
+        let frames = json["frames"].as_array().expect("frames").iter();
+        frames.filter(|frame| !frame["binding"]["exposure"].is_null()).count()
+    };
+    assert_eq!((code, tied(&json), &json["of_another_study"]), (Some(0), EXPOSURES, &Value::from(3)), "{words} {json:#}");
+    let ran = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("attach").arg(&log).arg(&exported).output().expect("it starts");
+    let told = String::from_utf8_lossy(&ran.stdout).into_owned();
+    assert!(told.contains("40 of 43 frames tied\n3 frames of another study"), "{told}");
+    // The controls: of the session's own study they are lost, and where an exposure has no frame they may be of that one.
+    for nth in 0..3 {
+        put_into(&exported.join(format!("other{nth}.dcm")), "2.25.71");
+    }
+    let (code, json, words) = attach(&log, &exported, &[]);
+    assert_eq!((code, tied(&json), &json["of_another_study"]), (Some(3), EXPOSURES, &Value::from(0)), "{words} {json:#}");
+    for nth in 0..3 {
+        put_into(&exported.join(format!("other{nth}.dcm")), "2.25.72");
+    }
+    std::fs::remove_file(exported.join("img020.dcm")).expect("removed");
+    let (code, json, words) = attach(&log, &exported, &[]);
+    assert_eq!((code, tied(&json), &json["of_another_study"]), (Some(3), EXPOSURES - 1, &Value::from(0)), "{words} {json:#}");
 }
 
 /// Where the console keeps the time, six exposures in an even rhythm and their six frames leave one reading; a frame less, and there are two.

@@ -122,3 +122,19 @@ fn a_count_that_surely_names_another_exposure_than_the_stamp_leaves_the_frame_un
         assert!(score.wrong.is_empty() && score.bound >= 8, "{} bound, {:#?}", score.bound, score.wrong);
     }
 }
+
+/// An hour of the zone stood in what was said of a clock that is two seconds off.
+#[test]
+fn the_zone_is_said_apart_from_what_the_clock_is_off() {
+    let exposures = calm(8);
+    let came: Vec<Came> = (0..8).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, None)).collect();
+    for (ahead_s, words) in [
+        (3602.0, " s ahead of the host's if its zone is UTC+01:00, which no file states, from "),
+        (1500.0, " s ahead of the host's, zone and all, from "),
+    ] {
+        let score = played_with(&exposures, &[], true, &came, 1000, &|at_s| Some(us(at_s + ahead_s)));
+        let told: Vec<&String> = score.told.iter().filter(|told| told.contains("(its clock is ")).collect();
+        assert!(!told.is_empty() && told.iter().all(|told| told.contains(words)), "{words}: {:#?}", score.told);
+        assert!(score.wrong.is_empty() && score.bound == 8, "{} bound, {:#?}", score.bound, score.wrong);
+    }
+}

@@ -35,6 +35,7 @@ mod bad_input;
 mod binding;
 mod binding_cases;
 mod binding_claims;
+mod binding_consoles;
 mod binding_days;
 mod binding_draw;
 mod binding_images;

@@ -10,7 +10,7 @@ use crate::timeline::TOO_FEW_AGREE;
 /// Tie frames that were exported after a session to the exposures in its log. The log is not changed.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm attach run-1/session.mcap export/ --out bindings.json\n\n\
-    Exit code 3: some frames could not be tied; the table says why.")]
+    Exit code 3: some frames could not be tied, but for those that are certainly of another study; the table says why.")]
 pub struct AttachArgs {
     /// The session's log.
     pub log: PathBuf,
@@ -48,7 +48,7 @@ pub enum AttachCommandError {
     },
 }
 
-/// Attaches; exit code 0, or 3 when some frames could not be tied or read.
+/// Attaches; exit code 0, or 3 when some frames of the session could not be tied, or some not read.
 ///
 /// # Errors
 /// When log or frames cannot be read, or the result cannot be written.
@@ -71,7 +71,8 @@ pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandEr
     } else {
         table(&report);
     }
-    Ok(if report.bound() == report.frames.len() && report.losses.is_empty() { 0 } else { 3 })
+    let all = report.bound() + report.of_another_study == report.frames.len();
+    Ok(if all && report.losses.is_empty() { 0 } else { 3 })
 }
 
 /// Whether `folder` is `root` or lies below it.
@@ -88,18 +89,7 @@ fn table(report: &AttachReport) {
         report.frames.len()
     );
     if let Some(clock) = report.console {
-        let frames = clock.frames;
-        match report.console_zone_min {
-            // The zone is no error of the clock.
-            Some(minutes) => {
-                println!(
-                    "console clock: {} in its zone, {}, from {frames} frames",
-                    clock.in_zone(minutes).words(),
-                    zone(minutes)
-                );
-            }
-            None => println!("console clock: {}, zone and all, from {frames} frames", clock.words()),
-        }
+        println!("console clock: {}, from {} frames", clock.words_beside_zone(report.console_zone_min), clock.frames);
     }
     for frame in &report.frames {
         println!("{}", row(frame));
@@ -111,6 +101,12 @@ fn table(report: &AttachReport) {
         println!("lost: {loss}");
     }
     println!("{} of {} frames tied", report.bound(), report.frames.len());
+    if report.of_another_study > 0 {
+        println!(
+            "{} frames of another study: none of it has an exposure, and each exposure has its frame without them",
+            report.of_another_study
+        );
+    }
     if report.frames.iter().any(|frame| frame.binding.evidence.last().is_some_and(|words| words == TOO_FEW_AGREE)) {
         println!("{MORE_TO_AGREE}");
     }
@@ -120,12 +116,6 @@ fn table(report: &AttachReport) {
         let named = without.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
         println!("{} of {} exposures still have no frame ({named}{more})", without.len(), report.exposures);
     }
-}
-
-/// Minutes east of UTC as `UTC+05:30`.
-fn zone(minutes: i32) -> String {
-    let sign = if minutes < 0 { '-' } else { '+' };
-    format!("UTC{sign}{:02}:{:02}", minutes.unsigned_abs() / 60, minutes.unsigned_abs() % 60)
 }
 
 fn row(frame: &Attached) -> String {

@@ -78,6 +78,9 @@ pub struct AttachReport {
     pub console_zone_min: Option<i32>,
     /// The named frames, in the order in which they were named (folders by path, with those below them).
     pub frames: Vec<Attached>,
+    /// Frames without an exposure that are certainly of another study than the session's: none of that study has one, each exposure has its frame,
+    /// and the C-arm was heard from the first to the last.
+    pub of_another_study: usize,
     /// Exposures of which neither the log nor what was named has a frame.
     pub exposures_without_frame: Vec<String>,
     /// Files that could not be read, and what the log had lost.
@@ -138,7 +141,10 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
             reporter.warn("another study", words);
         }
         let said = FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None);
-        session.binder.push(session.zone.steady(&frame.tags, said));
+        session.studies.meet(*number, frame.tags.study.as_deref());
+        let said = session.zone.steady(&frame.tags, said);
+        session.binder.note_zone(session.zone.minutes());
+        session.binder.push_of(frame.tags.study.as_deref(), said);
     }
     session.timeline.finish();
     session.binder.finish(&session.timeline);
@@ -151,14 +157,17 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
     };
     let exposures = session.timeline.exposures();
     let shown: BTreeSet<u64> = (1..=session.taken).filter_map(|number| Some(session.binding(number).exposure?.index)).collect();
-    let without = exposures.iter().filter(|exposure| !shown.contains(&exposure.index));
+    let without: Vec<String> =
+        exposures.iter().filter(|exposure| !shown.contains(&exposure.index)).map(ExposureInterval::label).collect();
+    let of_another_study = if without.is_empty() { session.strangers(&exposures).len() } else { 0 };
     Ok(AttachReport {
         exposures: exposures.len(),
         frames_in_log: session.frames_in_log as usize,
         console: session.binder.clock(),
         console_zone_min: session.zone.minutes(),
         frames: read.iter().map(attached).collect(),
-        exposures_without_frame: without.map(ExposureInterval::label).collect(),
+        of_another_study,
+        exposures_without_frame: without,
         losses: session.losses,
     })
 }
@@ -200,6 +209,7 @@ struct Recorded {
     numbers: BTreeMap<u32, u32>,
     pictures: Pictures,
     zone: ConsoleZone,
+    studies: Studies,
     losses: Vec<String>,
 }
 
@@ -287,12 +297,33 @@ impl Recorded {
         let content = content.unwrap_or_else(|| frame.sha256.clone());
         let evidence = FrameEvidence::of(number, &frame.tags, &content, image_of(&frame), Some(host_us));
         self.numbers.insert(frame.number, number);
+        self.studies.meet(number, frame.tags.study.as_deref());
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
-        self.binder.push(FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) });
+        let evidence = FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) };
+        self.binder.note_zone(self.zone.minutes());
+        self.binder.push_of(frame.tags.study.as_deref(), evidence);
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, number);
         }
         self.binder.update(&self.timeline, host_us);
+    }
+
+    /// Frames named beside the log's that are of a study of which none has one of the `exposures`; none where the C-arm may have missed some.
+    fn strangers(&self, exposures: &[ExposureInterval]) -> BTreeSet<u32> {
+        let (Some(first), Some(last)) = (exposures.first(), exposures.last()) else { return BTreeSet::new() };
+        if self.timeline.exposure_tracker().blind_spot(first.start_us, last.end_us).is_some() {
+            return BTreeSet::new();
+        }
+        let is_copy = |binding: &Binding| {
+            let is_of_another =
+                |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
+            binding.flags.iter().any(is_of_another)
+        };
+        let bindings: Vec<(u32, Binding)> = (1..=self.taken).map(|number| (number, self.binding(number))).collect();
+        let tied = bindings.iter().filter(|(_, binding)| binding.exposure.is_some()).map(|(number, _)| *number);
+        let named = bindings.iter().filter(|(number, _)| *number > self.frames_in_log);
+        let untied = named.filter(|(_, binding)| binding.exposure.is_none() && !is_copy(binding)).map(|(number, _)| *number);
+        self.studies.strangers(tied, untied)
     }
 
     fn next_frame(&mut self) -> u32 {

@@ -129,13 +129,15 @@ pub(super) struct Untied {
     pub(super) unheard: usize,
     /// They count on where the C-arm's counter stood still, which is said apart.
     pub(super) counted_on: usize,
+    /// They are of another study than those that have exposures, and each exposure has its frame: nothing is lost with them.
+    pub(super) of_another_study: usize,
     /// Nothing that telemetry tells of fits.
     pub(super) other: usize,
 }
 
 impl Untied {
     pub(super) fn all(self) -> usize {
-        self.second + self.unheard + self.counted_on + self.other
+        self.second + self.unheard + self.counted_on + self.of_another_study + self.other
     }
 }
 
@@ -146,10 +148,11 @@ pub(super) fn all_shown(exposures: &[ExposureInterval], shown: &BTreeSet<u64>) -
 
 /// That frames are bound to none of the exposures that telemetry tells of, where each of those has its frame (`all_shown`).
 pub(super) fn of_no_exposure(all_shown: bool, untied: Untied) -> Option<String> {
-    let Untied { second, unheard, other, .. } = untied;
+    let Untied { second, unheard, of_another_study, other, .. } = untied;
     let parts = [
         (second, "are second pictures of exposures that have their frame (processed ones beside raw ones?)"),
         (unheard, "came while nothing was heard of the C-arm: of which exposures they are is not known"),
+        (of_another_study, "are of another study than those that have the exposures"),
         (other, "are of no exposure that telemetry tells of: pictures of another day or another room?"),
     ];
     let parts: Vec<String> =
@@ -259,7 +262,12 @@ mod tests {
             &["another day", "heard"],
         );
         says(Untied { unheard: 4, ..Untied::default() }, &["4 frames came while nothing was heard"], &["another day", "second"]);
-        let mixed = Untied { second: 3, unheard: 1, counted_on: 0, other: 2 };
+        says(
+            Untied { of_another_study: 4, ..Untied::default() },
+            &["4 frames are of another study than those that have the exposures. Their"],
+            &["another day", "second", "heard"],
+        );
+        let mixed = Untied { second: 3, unheard: 1, counted_on: 0, of_another_study: 0, other: 2 };
         says(mixed, &["3 frames are second", "; 1 frames came while", "; 2 frames are of no exposure"], &[]);
         assert_eq!(mixed.all(), 6);
         // What is said apart is not said to be of another day.

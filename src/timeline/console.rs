@@ -11,6 +11,8 @@ use std::collections::BTreeSet;
 
 use serde::Serialize;
 
+use super::zone::{zone_beside, zone_label};
+
 /// Fastest drift of console against host that is believed.
 const MOST_DRIFT: f64 = 250e-6;
 /// What a stamp may lie outside its exposure without a constant part, which the offset absorbs.
@@ -175,6 +177,19 @@ impl ConsoleClock {
     pub fn in_zone(self, minutes: i32) -> Self {
         Self { offset_us: self.offset_us.saturating_add(i64::from(minutes) * 60_000_000), ..self }
     }
+
+    /// How it stands to the host's, apart from its time zone: that which its files state, minutes east of UTC, or the one beside which it would be
+    /// off by a few minutes at most.
+    #[must_use]
+    pub fn words_beside_zone(self, stated_min: Option<i32>) -> String {
+        match (stated_min, zone_beside(self.offset_us)) {
+            (Some(minutes), _) => format!("{} in its zone, {}", self.in_zone(minutes).words(), zone_label(minutes)),
+            (None, Some(minutes)) => {
+                format!("{} if its zone is {}, which no file states", self.in_zone(minutes).words(), zone_label(minutes))
+            }
+            (None, None) => format!("{}, zone and all", self.words()),
+        }
+    }
 }
 
 impl ConsoleOffset {
@@ -234,6 +249,11 @@ mod tests {
         assert_eq!(india.words(), "20022.520 s ± 0.130 s ahead of the host's");
         assert_eq!(india.in_zone(330).words(), "222.520 s ± 0.130 s ahead of the host's");
         assert_eq!(clock(18_000_500_000).in_zone(-300).words(), "0.500 s ± 0.130 s behind the host's");
+        let beside = |offset_us: i64, stated_min: Option<i32>| clock(offset_us).words_beside_zone(stated_min);
+        assert_eq!(beside(-3_602_000_000, Some(60)), "2.000 s ± 0.130 s ahead of the host's in its zone, UTC+01:00");
+        let unstated = "2.000 s ± 0.130 s ahead of the host's if its zone is UTC+01:00, which no file states";
+        assert_eq!(beside(-3_602_000_000, None), unstated);
+        assert_eq!(beside(1_500_000_000, None), "1500.000 s ± 0.130 s behind the host's, zone and all");
     }
 
     #[test]

@@ -7,16 +7,10 @@ use super::counting::Firmness;
 use super::evidence::BindingHow;
 use super::known::{Known, Pending};
 use super::shots::{BATCH_US, PATIENCE_US, was_on};
+use super::zone::{BESIDE_ZONE_US, off_zone_us};
 
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
 const SOON_US: i64 = 4_000_000;
-
-/// Time zones are this far apart.
-const ZONE_US: i64 = 3_600_000_000;
-/// But for these, with and without summer time, in minutes east of UTC (IANA time zone database, zones in use since 2010).
-const BROKEN_ZONES_MIN: [i64; 15] = [-570, -270, -210, -150, 210, 270, 330, 345, 390, 510, 525, 570, 630, 765, 825];
-/// A console whose clock is kept is not farther off than this.
-const BESIDE_US: i64 = 300_000_000;
 
 /// Why no frame is bound where there is nothing to bind it to.
 pub const NO_EXPOSURE: &str = "telemetry recorded no exposure";
@@ -129,7 +123,7 @@ impl Weighed<'_> {
         let behind_us =
             said.console_us.zip(said.arrival_us).map(|(console_us, arrival_us)| arrival_us.saturating_sub(console_us));
         let beside_us = behind_us.map(|us| off_zone_us(us).abs());
-        self.known.finished || self.known.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_US)
+        self.known.finished || self.known.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_ZONE_US)
     }
 
     /// Whether the arrival may be an older frame's, from before the counter began anew: another frame with the same count came promptly
@@ -279,39 +273,7 @@ impl Weighed<'_> {
     }
 }
 
-/// What an offset (UTC minus the console's time) is beside the nearest time zone.
-pub(super) fn off_zone_us(offset_us: i64) -> i64 {
-    let beside_hours_us = offset_us.saturating_add(ZONE_US / 2).rem_euclid(ZONE_US) - ZONE_US / 2;
-    let beside_broken_us = BROKEN_ZONES_MIN.iter().map(|minutes| offset_us.saturating_add(minutes * 60_000_000));
-    beside_broken_us.fold(beside_hours_us, |best, beside| if beside.saturating_abs() < best.abs() { beside } else { best })
-}
-
 /// No exposure, and no frame that has it.
 pub(super) fn none(evidence: Vec<String>) -> Judgement {
     Judgement::None { evidence, taken_by: None }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn offsets_are_taken_beside_whole_hours_and_the_zones_between_them() {
-        let minutes = |n: f64| (n * 60e6) as i64;
-        for (offset_min, beside_min) in [
-            (0.0, 0.0),
-            (-60.1, -0.1),
-            (300.2, 0.2),
-            // India, Nepal, Newfoundland: east of UTC the console is ahead.
-            (-330.1, -0.1),
-            (-345.0, 0.0),
-            (150.3, 0.3),
-            // No zone is half an hour behind UTC, or ahead of it.
-            (25.0, 25.0),
-            (-25.0, -25.0),
-        ] {
-            assert_eq!(off_zone_us(minutes(offset_min)), minutes(beside_min), "{offset_min}");
-        }
-        assert!(off_zone_us(i64::MAX).abs() <= ZONE_US / 2 && off_zone_us(i64::MIN).abs() <= ZONE_US / 2);
-    }
 }

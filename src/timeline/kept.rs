@@ -10,8 +10,8 @@ use super::Timeline;
 use super::agreement::Suggestion;
 use super::alignment::{Stamped, Stamps};
 use super::console::Bounds;
-use super::judgement::off_zone_us;
 use super::known::{Known, Pending};
+use super::zone::off_zone_us;
 
 /// A console that keeps the host's time is not farther off than this.
 const KEPT_US: i64 = 500_000;

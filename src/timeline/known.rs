@@ -37,6 +37,11 @@ impl Pending {
     pub fn new(evidence: FrameEvidence, binding: Binding) -> Self {
         Self { evidence, prompt: None, running: None, binding, images: Vec::new(), apart: Vec::new() }
     }
+
+    /// The exposures that it has: one, or as many as the images of its file where each has its own.
+    pub fn exposures(&self) -> &[ExposureInterval] {
+        if self.apart.is_empty() { self.binding.exposure.as_slice() } else { &self.apart }
+    }
 }
 
 /// What is known so far.
@@ -52,6 +57,8 @@ pub(super) struct Known {
     pub contents: BTreeMap<String, (u32, BTreeMap<u32, u32>)>,
     /// The console's offset, a new one whenever its clock was set.
     pub offsets: Vec<ConsoleOffset>,
+    /// The time zone of its stamps where files state one, minutes east of UTC.
+    pub zone_min: Option<i32>,
     pub counting: Counting,
     /// Frames by the console's stamp: a later stamp is a later exposure.
     pub by_stamp: BTreeMap<i64, Vec<u32>>,

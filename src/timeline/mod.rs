@@ -3,6 +3,7 @@
 //! A sample keeps its raw device time and its host arrival; its mapped host time comes from the clock map of its segment and improves
 //! while data come in. Answers depend on what was pushed, in which order, and on nothing else, so a replay gives the same ones.
 
+mod accident;
 mod agreement;
 mod alignment;
 mod apart;
@@ -11,6 +12,7 @@ mod binder;
 mod claims;
 mod clock;
 mod console;
+mod console_binder;
 mod counted;
 mod counting;
 mod evidence;

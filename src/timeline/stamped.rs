@@ -380,7 +380,10 @@ impl Weighed<'_> {
 
     fn offset_words(&self) -> String {
         match self.known.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
-            Some(clock) => format!(" (its clock is {}, from {} frames)", clock.words(), clock.frames),
+            Some(clock) => {
+                let words = clock.words_beside_zone(self.known.zone_min);
+                format!(" (its clock is {words}, from {} frames)", clock.frames)
+            }
             None => String::new(),
         }
     }

@@ -1,5 +1,7 @@
 //! What a session has lost, and what was never matched, as its engine knows it.
 
+use std::collections::BTreeSet;
+
 use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::Engine;
 use super::counted_on::is_no_exposure;
@@ -52,24 +54,29 @@ impl Engine {
     #[must_use]
     pub fn hardly_bound(&self) -> Option<String> {
         let (exposures, untied) = (self.timeline.exposures(), self.untied());
-        // Where each exposure has its frame, nothing is lost with a second picture of it.
+        // Where each exposure has its frame, nothing is lost with a second picture of it, nor with those of another study.
         let second = if all_shown(&exposures, &self.shown) { untied.second } else { 0 };
         let tells_of_none = self.setup.adapters.unknowns().iter().any(|(kind, _)| *kind == NO_EXPOSURES);
         let heard = self.timeline.carm().newest().is_some() && !tells_of_none;
-        few_bound(exposures.len(), untied.all() - second, self.tied.len(), heard)
+        few_bound(exposures.len(), untied.all() - second - untied.of_another_study, self.tied.len(), heard)
     }
 
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
     fn untied(&self) -> Untied {
         let end_us = self.ended_us.unwrap_or(self.now_us);
         let counted_on = self.counted_on().map(|counted_on| counted_on.frames).unwrap_or_default();
+        let strangers = self.strangers();
         let mut untied = Untied::default();
         for number in self.unbound.keys() {
             let binding = self.binder.binding(*number);
             if binding.is_some_and(|binding| binding.flags.iter().any(is_no_exposure)) {
                 continue;
             }
-            if binding.is_some_and(|binding| binding.flags.iter().any(|flag| matches!(flag, BindingFlag::SecondPicture { .. }))) {
+            if strangers.contains(number) {
+                untied.of_another_study += 1;
+            } else if binding
+                .is_some_and(|binding| binding.flags.iter().any(|flag| matches!(flag, BindingFlag::SecondPicture { .. })))
+            {
                 untied.second += 1;
             } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
                 untied.unheard += 1;
@@ -80,5 +87,16 @@ impl Engine {
             }
         }
         untied
+    }
+
+    /// Unbound frames that are certainly of another study than the session's: each exposure has its frame, none of their study has one, and the
+    /// C-arm was heard when they came and told of the exposure of a later frame, so that it missed none of theirs.
+    fn strangers(&self) -> BTreeSet<u32> {
+        let latest = self.tied.last().copied().filter(|_| all_shown(&self.timeline.exposures(), &self.shown));
+        let end_us = self.ended_us.unwrap_or(self.now_us);
+        let came_between = |number: &u32| {
+            latest.is_some_and(|latest| *number < latest) && !self.hearing.came_unheard(*number, DeviceKind::Carm, end_us)
+        };
+        self.studies.strangers(self.tied.iter().copied(), self.unbound.keys().copied().filter(came_between))
     }
 }

@@ -270,7 +270,9 @@ impl Engine {
         let content = self.pictures.first_of(frame, picture);
         self.counts.extend(frame.tags.exposure_counter.map(|counter| (frame.number, (counter, host_us))));
         let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
-        self.binder.push(FrameEvidence { completes: frame.completes, ..self.zone.steady(&frame.tags, evidence) });
+        let evidence = FrameEvidence { completes: frame.completes, ..self.zone.steady(&frame.tags, evidence) };
+        self.binder.note_zone(self.zone.minutes());
+        self.binder.push_of(frame.tags.study.as_deref(), evidence);
         if let Some(before) = self.pictures.take_copied_before(&content) {
             self.binder.was_copied_by(&before, frame.number);
         }

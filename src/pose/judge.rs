@@ -12,6 +12,7 @@ use super::nuisance::{Nuisance, Word};
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
+use super::request::Registration;
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Free, Options, solve};
@@ -91,6 +92,9 @@ impl Case<'_> {
             cautions.doubt(
                 "the layout resembles its own mirror image, and the prior lets both be: whether the picture is mirrored nobody can tell",
             );
+        }
+        if let Some(words) = behind_detector(self.request, &settled) {
+            cautions.doubt(words);
         }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
@@ -269,4 +273,60 @@ struct Believed {
     unstated: Vec<Nuisance>,
     chance: f64,
     cautions: Cautions,
+}
+
+/// Beads that are seen lie before the detector, whatever K is: their depths and the detector's are as the focal length together. Nothing is said of
+/// a solved K, which has another distance.
+fn behind_detector(request: &Registration, settled: &Settled) -> Option<String> {
+    let detector_mm = settled.solution.intrinsics.fx * request.pitch_mm.filter(|_| settled.options.free == Free::Pose)?;
+    let depth_mm = |lps_mm: DVec3| settled.solution.camera_from_lps.transform_point(lps_mm).z;
+    let deepest = settled.matches.iter().max_by(|a, b| depth_mm(a.lps_mm).total_cmp(&depth_mm(b.lps_mm)))?;
+    let (behind_mm, name) = (depth_mm(deepest.lps_mm) - detector_mm, &request.layout.beads[deepest.bead].name);
+    // Along the beam a bead is known to some millimetres.
+    (behind_mm > 0.002 * detector_mm).then(|| {
+        format!(
+            "{name} would lie {behind_mm:.0} mm behind the detector, which is {detector_mm:.0} mm from the source: check SID, pitch, and the layout's scale"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec2};
+
+    use super::super::solve::Match;
+    use super::*;
+    use crate::beads::{Bead, BeadLayout};
+    use crate::geometry::{Intrinsics, Rigid};
+
+    /// A pitch of the isocentre in a header put beads behind its own detector, without a word.
+    #[test]
+    fn beads_behind_the_detector_are_a_doubt() {
+        let k = Intrinsics { fx: 4000.0, fy: 4000.0, skew: 0.0, cx: 511.5, cy: 511.5 };
+        let camera_from_lps = Rigid::translation(DVec3::new(0.0, 0.0, 960.0));
+        let places = [[40.0, 0.0, 30.0], [-40.0, 5.0, 0.0], [0.0, 40.0, -20.0], [10.0, -40.0, 10.0], [20.0, 20.0, -30.0]];
+        let matches: Vec<Match> = (0..)
+            .zip(places.map(DVec3::from_array))
+            .map(|(bead, lps_mm)| Match {
+                bead,
+                detection: bead,
+                lps_mm,
+                image_px: k.project(camera_from_lps.transform_point(lps_mm)) + DVec2::ZERO,
+                sigma_px: 0.05,
+                noise_px2: [0.0025, 0.0, 0.0025],
+                place_mm2: DMat3::from_diagonal(DVec3::splat(1e-4)),
+            })
+            .collect();
+        let options = Options::least_squares(Free::Pose);
+        let solution = solve(&matches, &camera_from_lps, &k, &options).expect("regular");
+        let settled = Settled { solution, matches, left_out: Vec::new(), merged: Vec::new(), chi2_per_dof: 1.0, options };
+        let beads = places.iter().enumerate().map(|(n, at)| Bead::new(format!("b{n}"), DVec3::from_array(*at))).collect();
+        let layout = BeadLayout { beads, ..BeadLayout::none() };
+        let said = |pitch_mm: Option<f64>| {
+            behind_detector(&Registration { pitch_mm, intrinsics: Some(k), ..Registration::new([1024; 2], &layout) }, &settled)
+        };
+        let words = said(Some(0.24)).expect("a doubt");
+        assert!(words.starts_with("b0 would lie 30 mm behind the detector, which is 960 mm"), "{words}");
+        assert_eq!((said(Some(0.25)), said(None)), (None, None), "the controls");
+    }
 }

@@ -72,6 +72,11 @@ impl Nuisance {
         Some(Self::solved(settled, unmeasured, variance)?.0)
     }
 
+    /// Mean square of the first of them: a lens's k1, or how far K's focal length is off, px.
+    pub fn moment_of_first(&self) -> f64 {
+        self.moment[(0, 0)]
+    }
+
     /// With beads of `variance` times the stated one, and what the residuals say of that.
     fn solved(settled: &Settled, unmeasured: &Unmeasured, variance: f64) -> Option<(Self, f64)> {
         let weighed =

@@ -15,6 +15,11 @@ const CENTRE: f64 = 0.01;
 /// Of the focal length, in shares of it: a distance of 1 m to 5 mm.
 const FOCAL: f64 = 0.005;
 
+/// What is taken of a focal length of which nothing is known, …
+const WIDE: f64 = 0.5;
+/// … and what beads must leave open of it before it is said.
+const OPEN: f64 = 0.03;
+
 /// What to do about it; how it is given, `register` and a session say of every K of a header.
 pub const MEASURE_K: &str = "calibrate K, and give it (intrinsics)";
 
@@ -30,7 +35,7 @@ pub(super) fn heard_of_k(request: &Registration, settled: &Settled) -> (Option<N
     let taken = taken_for(request.size_px, settled.solution.intrinsics);
     let k = Nuisance::of(settled, &Unmeasured::K(taken));
     let word = match &k {
-        Some(k) => moves(k, request, &settled.solution, &taken),
+        Some(k) => moves(k, request, &settled.solution, &taken, &told_of_focal(request, settled)),
         None => {
             Word::Doubt(format!("{HEADER_K}, and how far another would move places beside the beads cannot be told: {MEASURE_K}"))
         }
@@ -44,8 +49,22 @@ fn taken_for(size_px: [u32; 2], mean: Intrinsics) -> IntrinsicsPrior {
     IntrinsicsPrior { mean, focal_sigma_px: FOCAL * mean.fx, centre_sigma_px: [CENTRE * columns.max(rows); 2] }
 }
 
+/// How far the header's focal length may be off before the beads show it, where that is more than anybody would take it to be.
+fn told_of_focal(request: &Registration, settled: &Settled) -> String {
+    let mean = settled.solution.intrinsics;
+    let anything = IntrinsicsPrior { focal_sigma_px: WIDE * mean.fx, ..taken_for(request.size_px, mean) };
+    let off = Nuisance::of(settled, &Unmeasured::K(anything)).map_or(WIDE, |k| k.moment_of_first().sqrt() / mean.fx);
+    if off < OPEN {
+        return String::new();
+    }
+    let (beads, percent) = (settled.matches.len(), 100.0 * off.min(WIDE));
+    format!(
+        "these {beads} beads tell the focal length to {percent:.0} % only, so that a header that is wrong by as much shows nowhere; "
+    )
+}
+
 /// How far it may move the landmarks in the picture.
-fn moves(k: &Nuisance, request: &Registration, solution: &Solution, taken: &IntrinsicsPrior) -> Word {
+fn moves(k: &Nuisance, request: &Registration, solution: &Solution, taken: &IntrinsicsPrior, told: &str) -> Word {
     let assumed = format!(
         "a principal point {:.0} px off the middle along each axis and a focal length {:.1} % off (1 σ)",
         taken.centre_sigma_px[0],
@@ -59,9 +78,9 @@ fn moves(k: &Nuisance, request: &Registration, solution: &Solution, taken: &Intr
             "{HEADER_K}: with {assumed} {name} may be off by {worst_px:.1} px, which beads elsewhere do not show; {MEASURE_K}"
         )),
         Some((worst_px, name)) => Word::Note(format!(
-            "{HEADER_K}: the stated sigma of landmarks count {assumed}, which move {name} by {worst_px:.1} px against the beads; {MEASURE_K}"
+            "{HEADER_K}: the stated sigma of landmarks count {assumed}, which move {name} by {worst_px:.1} px against the beads; {told}{MEASURE_K}"
         )),
-        None => Word::Note(format!("{HEADER_K}: the stated sigma of landmarks count {assumed}; {MEASURE_K}")),
+        None => Word::Note(format!("{HEADER_K}: the stated sigma of landmarks count {assumed}; {told}{MEASURE_K}")),
     }
 }
 
@@ -169,6 +188,12 @@ mod tests {
         for part in [HEADER_K, "10 px off the middle", "0.5 % off", "move tip by", "calibrate K, and give it (intrinsics)"] {
             assert!(words.contains(part), "{part} in {words}");
         }
+        // Ten beads that stand deep tell it well enough, four do not: a header 55 % off was "0.0 px".
+        assert!(!words.contains("tell the focal length"), "{words}");
+        let few = self::settled(3, &HEADER).0;
+        let few = Settled { matches: few.matches.iter().take(4).copied().collect(), ..few };
+        let told = told_of_focal(&request(&layout, &[]), &few);
+        assert!(told.starts_with("these 4 beads tell the focal length to "), "{told}");
         // Far from the beads, and in the picture still.
         let Some(Word::Doubt(words)) = said(DVec3::new(-40.0, 30.0, -320.0), true) else { panic!("no doubt beyond them") };
         assert!(words.contains("tip may be off by") && words.contains("calibrate K"), "{words}");

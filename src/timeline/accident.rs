@@ -1,7 +1,8 @@
 //! How likely it is that frames fit the exposures by accident: those of another room's console do so one by one, and hardly ever all together.
 //!
 //! The times at which a frame would fit cover a share p of the session. Of m frames n fit by accident with a chance of at most C(m, n) pⁿ, with one
-//! frame less in the exponent for each number that was fitted to them, and times the readings among which that number was chosen.
+//! frame less in the exponent for each number that was fitted to them, and times the readings among which that number was chosen. That holds where
+//! the times of one console say nothing of the other's: of an even rhythm no such thing is believed.
 
 use std::collections::BTreeSet;
 
@@ -77,6 +78,15 @@ impl Known {
         Some(windows_us / to_us.saturating_sub(from_us) as f64)
     }
 
+    /// Whether the exposures of these frames follow each other too evenly to tell anything, frames fitting one within `wide_us` beside its length.
+    fn is_too_even(&self, tied: &[(&FrameEvidence, usize)], wide_us: i64) -> bool {
+        let begins_us: Vec<i64> = (0..self.shots.len()).map(|at| self.shots.get(at).start_us).collect();
+        let own = tied.iter().map(|(_, at)| self.shots.get(*at));
+        let longest_us = own.clone().map(|shot| shot.end_us.saturating_sub(shot.start_us)).max().unwrap_or(0);
+        let own_us: Vec<i64> = own.map(|shot| shot.start_us).collect();
+        are_too_even(&own_us, &begins_us, wide_us.saturating_add(longest_us))
+    }
+
     /// Frames whose stamps name their exposures by a clock that all have in common, or by a few where it was set.
     fn fit_by_stamps(&self) -> Option<Fit> {
         let clock = self.clock()?;
@@ -85,6 +95,9 @@ impl Known {
         let resolution_us = tied.iter().map(|(said, _)| self.resolution_us(said)).max()?;
         let either_way_us = SCATTER_US.saturating_add(clock.uncertainty_us);
         let wide_us = resolution_us.saturating_add(either_way_us.saturating_mul(2));
+        if self.is_too_even(&tied, wide_us) {
+            return None;
+        }
         let share = self.covered(&tied, |shot| shot.end_us.saturating_sub(shot.start_us).saturating_add(wide_us))?;
         let frames = self.frames_of_their_own();
         let readings = self.shots.len().saturating_mul(frames);
@@ -100,11 +113,23 @@ impl Known {
         let usual_us = usual_us_of(tied.iter().filter_map(|(said, at)| delay_us(said, *at)).collect())?;
         tied.retain(|(said, at)| delay_us(said, *at).is_some_and(|us| usual_us.contains(&us)));
         let wide_us = usual_us.end().saturating_sub(*usual_us.start());
+        if self.is_too_even(&tied, wide_us) {
+            return None;
+        }
         let share = self.covered(&tied, |_| wide_us)?;
         let frames = self.frames_of_their_own();
         // The shortest delay and the longest.
         Some(Fit { fitting: tied.len(), frames, share, fitted: 2, readings: tied.len() })
     }
+}
+
+/// Whether over half of `own_us` come to lie on `all_us` as well, within `wide_us`, if they are all moved by as much.
+fn are_too_even(own_us: &[i64], all_us: &[i64], wide_us: i64) -> bool {
+    let apart_us = own_us.iter().flat_map(|own_us| all_us.iter().map(move |us| us.saturating_sub(*own_us)));
+    let mut apart_us: Vec<i64> = apart_us.filter(|us| us.saturating_abs() > wide_us).collect();
+    apart_us.sort_unstable();
+    let most = own_us.len() / 2 + 1;
+    apart_us.windows(most).any(|apart_us| apart_us[most - 1].saturating_sub(apart_us[0]) <= wide_us)
 }
 
 #[cfg(test)]
@@ -133,5 +158,19 @@ mod tests {
             assert_eq!(fit.is_no_accident(), expected, "{fit:?}: {}", fit.log_chance());
         }
         assert!((fit(3, 5, 0.5).log_chance() - (10.0 * 0.25 * 100.0_f64).ln()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_rhythm_fits_itself_moved_by_a_beat_and_irregular_times_do_not() {
+        let even: Vec<i64> = (0..12).map(|n| 10_000_000 * n).collect();
+        assert!(are_too_even(&even, &even, 300_000));
+        // Every other one of them, and beats that are off by less than the window.
+        let every_other: Vec<i64> = even.iter().step_by(2).copied().collect();
+        assert!(are_too_even(&every_other, &even, 300_000));
+        let nearly: Vec<i64> = (0..12).map(|n| 10_000_000 * n + 20_000 * (n * n % 7)).collect();
+        assert!(are_too_even(&nearly, &nearly, 300_000) && !are_too_even(&nearly, &nearly, 20_000));
+        let slower: Vec<i64> = (0..12).map(|n| 17_000_000 * n + 140_000 * n * n).collect();
+        assert!(!are_too_even(&slower, &slower, 400_000));
+        assert!(!are_too_even(&[], &even, 300_000));
     }
 }

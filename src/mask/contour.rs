@@ -59,12 +59,14 @@ impl Bright {
             return None;
         }
         let middle = sum / count as f64;
-        let mut rim = rim(cells, &kept);
+        let rim = rim(cells, &kept);
         if rim.len() < 5 {
             return None;
         }
-        let angle = |x: &DVec2| (x.y - middle.y).atan2(x.x - middle.x);
-        rim.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+        let angle = |x: DVec2| (x.y - middle.y).atan2(x.x - middle.x);
+        let mut by_angle: Vec<(f64, DVec2)> = rim.into_iter().map(|x| (angle(x), x)).collect();
+        by_angle.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let rim = by_angle.into_iter().map(|(_, x)| x).collect();
         Some(Self { before, columns, rows, count, rim, middle })
     }
 

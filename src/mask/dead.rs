@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::dead_lines::dead_lines;
-use super::local_noise::{LocalNoise, around};
+use super::local_noise::{LocalNoise, VarianceBound, around};
 use super::text::{Component, components};
 use crate::image::Image;
 
@@ -18,6 +18,9 @@ const SMALLEST_PX: usize = 64;
 const FALSE_A_FRAME: f64 = 0.3;
 /// Before a ring's median is taken a pixel must differ by so many σ from four of its pixels.
 const WORTH_A_LOOK: f64 = 3.5;
+/// Its square, less what single precision may be off; and so many pixels of a row are told at once that none of them does.
+const LOOK_SQUARED: f32 = (0.999_9 * WORTH_A_LOOK * WORTH_A_LOOK) as f32;
+const PIECE_PX: usize = 32;
 /// Side of a cluster, at most.
 const LARGEST_CLUSTER: usize = 3;
 /// Smaller differences than this share of a larger one are its skirt, so many pixels about it.
@@ -67,36 +70,77 @@ pub(super) fn dead_pixels(pixels: &Image<f32>, usable: &Image<bool>, written: Op
 fn outliers(pixels: &Image<f32>, usable: &Image<bool>, noise: &LocalNoise) -> Image<bool> {
     let (width, height) = (pixels.width, pixels.height);
     let rarity = (pixels.pixels.len() as f64 / FALSE_A_FRAME).ln();
-    let mut departures = Image::filled(width, height, 0.0f32);
-    departures.pixels.par_chunks_mut(width).enumerate().for_each(|(row, line)| {
-        let [above, below] = [row.saturating_sub(2), (row + 2).min(height - 1)].map(|row| &pixels.pixels[row * width..][..width]);
-        let own = &pixels.pixels[row * width..][..width];
-        for (column, departure) in line.iter_mut().enumerate() {
-            let four = above[column] + below[column] + own[column.saturating_sub(2)] + own[(column + 2).min(width - 1)];
-            let rough = f64::from(0.25 * four);
-            // What is not finite beside it is looked at more closely.
-            if !usable.pixels[row * width + column] || (f64::from(own[column]) - rough).abs() <= WORTH_A_LOOK * noise.sigma(rough)
-            {
-                continue;
+    let bound = noise.variance_bound();
+    // Columns and differences of those of a row.
+    let departures: Vec<Vec<(usize, f32)>> = (0..height)
+        .into_par_iter()
+        .map(|row| {
+            let mut found = Vec::new();
+            for columns in worth_a_look(pixels, row, &bound) {
+                found.extend(columns.filter_map(|column| {
+                    let difference = departure(pixels, usable, noise, [column, row], rarity)?;
+                    Some((column, difference))
+                }));
             }
-            let Some(around) = around(pixels, column, row) else { continue };
-            let difference = own[column] - around;
-            if difference.is_finite() && noise.is_beyond(f64::from(difference), f64::from(around), rarity) {
-                *departure = difference;
-            }
-        }
-    });
+            found
+        })
+        .collect();
     let mut outliers = Image::filled(width, height, false);
-    for (at, own) in departures.pixels.iter().enumerate().filter(|(_, own)| **own != 0.0) {
-        let (u, v) = (at % width, at / width);
-        let rows = v.saturating_sub(SKIRT_PX)..(v + SKIRT_PX + 1).min(height);
-        let columns = u.saturating_sub(SKIRT_PX)..(u + SKIRT_PX + 1).min(width);
-        let largest = rows
-            .flat_map(|row| &departures.pixels[row * width..][columns.clone()])
-            .fold(0.0f32, |largest, other| largest.max(other.abs()));
-        outliers.pixels[at] = own.abs() >= SKIRT * largest;
+    for (v, found) in departures.iter().enumerate() {
+        for (u, own) in found {
+            let near = &departures[v.saturating_sub(SKIRT_PX)..(v + SKIRT_PX + 1).min(height)];
+            let largest = near.iter().fold(0.0f32, |largest, found| {
+                let first = found.partition_point(|(column, _)| column + SKIRT_PX < *u);
+                let beside = found[first..].iter().take_while(|(column, _)| *column <= u + SKIRT_PX);
+                beside.fold(largest, |largest, (_, other)| largest.max(other.abs()))
+            });
+            outliers.pixels[v * width + u] = own.abs() >= SKIRT * largest;
+        }
     }
     outliers
+}
+
+/// Columns of a row's pieces, in order, but for those in which each pixel is as near to the four that [`departure`] asks first as noise has it.
+fn worth_a_look(pixels: &Image<f32>, row: usize, bound: &VarianceBound) -> impl Iterator<Item = std::ops::Range<usize>> {
+    let (width, height) = (pixels.width, pixels.height);
+    let [above, own, below] =
+        [row.saturating_sub(2), row, (row + 2).min(height - 1)].map(|row| &pixels.pixels[row * width..][..width]);
+    let inner = (2..width - 2).step_by(PIECE_PX).map(move |first| first..(first + PIECE_PX).min(width - 2));
+    let is_worth = move |columns: &std::ops::Range<usize>| {
+        let (start, end) = (columns.start, columns.end);
+        let beside = own[start - 2..end - 2].iter().zip(&own[start + 2..end + 2]);
+        let across = above[start..end].iter().zip(&below[start..end]);
+        own[start..end].iter().zip(across.zip(beside)).fold(false, |is_worth, (own, ((above, below), (left, right)))| {
+            let rough = 0.25 * (above + below + left + right);
+            let difference = own - rough;
+            is_worth | !(difference * difference <= LOOK_SQUARED * bound.at(rough))
+        })
+    };
+    std::iter::once(0..2).chain(inner.filter(is_worth)).chain(std::iter::once(width - 2..width))
+}
+
+/// By how much a pixel differs from its surroundings, where that is more than noise does.
+fn departure(
+    pixels: &Image<f32>,
+    usable: &Image<bool>,
+    noise: &LocalNoise,
+    [column, row]: [usize; 2],
+    rarity: f64,
+) -> Option<f32> {
+    let (width, height) = (pixels.width, pixels.height);
+    let line = |row: usize| &pixels.pixels[row * width..][..width];
+    let (own, above, below) = (line(row), line(row.saturating_sub(2)), line((row + 2).min(height - 1)));
+    let four = above[column] + below[column] + own[column.saturating_sub(2)] + own[(column + 2).min(width - 1)];
+    let rough = f64::from(0.25 * four);
+    // What is not finite beside it is looked at more closely.
+    if !usable.pixels[row * width + column] || (f64::from(own[column]) - rough).abs() <= WORTH_A_LOOK * noise.sigma(rough) {
+        return None;
+    }
+    let around = around(pixels, column, row)?;
+    let difference = own[column] - around;
+    let is_beyond = difference.is_finite() && noise.is_beyond(f64::from(difference), f64::from(around), rarity);
+    // Those that are equal to it differ by nothing.
+    (is_beyond && difference != 0.0).then_some(difference)
 }
 
 /// Columns and rows of a cluster's box, grown by `margin` as far as the frame reaches.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::estimate::median;
-use crate::image::Image;
+use crate::image::{Image, in_order};
 use crate::units::interpolated;
 
 /// Places at which the noise is looked at, about.
@@ -45,12 +45,70 @@ pub(super) fn around(pixels: &Image<f32>, column: usize, row: usize) -> Option<f
             }
         }
     }
+    if count == ring.len() {
+        return Some(middle_of_all(ring));
+    }
     let ring = &mut ring[..count];
     ring.sort_unstable_by(f32::total_cmp);
     (count >= 8).then(|| 0.5 * (ring[(count - 1) / 2] + ring[count / 2]))
 }
 
+/// The median of sixteen numbers, by how many are smaller than each: sooner had than their order, as nothing hangs on which way two lie.
+fn middle_of_all(ring: [f32; 16]) -> f32 {
+    let words = ring.map(|value| (in_order(value) ^ 1 << 31) as i32);
+    let mut before = [0i32; 16];
+    for word in words {
+        before.iter_mut().zip(&words).for_each(|(before, other)| *before += i32::from(word < *other));
+    }
+    // In their order the one at a place is the largest of those before which no more come.
+    let [mut low, mut high] = [i32::MIN; 2];
+    for (word, before) in words.into_iter().zip(before) {
+        low = low.max(if before <= 7 { word } else { i32::MIN });
+        high = high.max(if before <= 8 { word } else { i32::MIN });
+    }
+    let value = |word: i32| f32::from_bits(if word >= 0 { word as u32 } else { !(word as u32 ^ 1 << 31) });
+    0.5 * (value(low) + value(high))
+}
+
+/// A line, flat beyond two values, that lies nowhere above the variance of a [`LocalNoise`].
+pub(super) struct VarianceBound {
+    /// Between these it is `at_zero` + `slope` × value.
+    ends: [f32; 2],
+    at_zero: f32,
+    slope: f32,
+}
+
+impl VarianceBound {
+    /// A variance that is nowhere too large; below 0 where nothing is known.
+    #[inline]
+    pub fn at(&self, value: f32) -> f32 {
+        self.at_zero + self.slope * value.max(self.ends[0]).min(self.ends[1])
+    }
+}
+
 impl LocalNoise {
+    /// As the variance of quanta rises with their number, much of it lies near a line.
+    pub fn variance_bound(&self) -> VarianceBound {
+        let (first, last) = (self.values[0], self.values[self.values.len() - 1]);
+        let variance = |sigma: f64| sigma * sigma;
+        let rise = variance(self.sigmas[self.sigmas.len() - 1]) - variance(self.sigmas[0]);
+        let slope = f64::from(if last > first { (rise / (last - first)).max(0.0) as f32 } else { 0.0 });
+        let mut least = variance(self.sigmas[0]) - slope * first;
+        for (values, sigmas) in self.values.windows(2).zip(self.sigmas.windows(2)) {
+            let excess = |sigma: f64, value: f64| variance(sigma) - slope * value;
+            least = least.min(excess(sigmas[1], values[1]));
+            // σ is straight between two values, and its square has the slope of the line at one place.
+            let per_value = (sigmas[1] - sigmas[0]) / (values[1] - values[0]);
+            let sigma = 0.5 * slope / per_value;
+            if sigma > sigmas[0].min(sigmas[1]) && sigma < sigmas[0].max(sigmas[1]) {
+                least = least.min(excess(sigma, values[0] + (sigma - sigmas[0]) / per_value));
+            }
+        }
+        // What single precision may be off, between ends that are rounded too.
+        let size = least.abs() + slope * first.abs().max(last.abs());
+        VarianceBound { ends: [first as f32, last as f32], at_zero: (least - 1e-5 * size) as f32, slope: slope as f32 }
+    }
+
     /// Measures `pixels`, proportional to quanta up to an offset, where they are `usable`; `None` where these are too few or all alike.
     pub fn measure(pixels: &Image<f32>, usable: &Image<bool>) -> Option<Self> {
         let (width, height) = (pixels.width, pixels.height);
@@ -136,4 +194,60 @@ fn most_gain(values: &[f64], sigmas: &[f64]) -> f64 {
     let run = middle(values[high].to_vec()) - middle(values[low].to_vec());
     let slope = if run > 0.0 { rise / run } else { 0.0 };
     ratio.max(slope).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    #[test]
+    fn the_median_of_sixteen_is_that_of_their_order() {
+        let mut random = Stream::new(9, 0, 0, Purpose::Evaluation);
+        for n in 0..2000u32 {
+            let ring: [f32; 16] = std::array::from_fn(|_| match n % 4 {
+                0 => random.normal() as f32,
+                1 => (2.0 * random.normal()).round() as f32,
+                2 => (0.6 * random.normal()).round() as f32 * -0.0,
+                _ => f32::from_bits(random.next_u32()),
+            });
+            if !ring.iter().all(|value| value.is_finite()) {
+                continue;
+            }
+            let mut sorted = ring;
+            sorted.sort_by(f32::total_cmp);
+            assert_eq!(middle_of_all(ring).to_bits(), (0.5 * (sorted[7] + sorted[8])).to_bits(), "{ring:?}");
+        }
+    }
+
+    #[test]
+    fn the_bound_lies_nowhere_above_the_variance_and_often_near_it() {
+        let noise = |values: &[f64], sigmas: &[f64]| LocalNoise {
+            values: values.to_vec(),
+            sigmas: sigmas.to_vec(),
+            gain: 1.0,
+            floor: 0.0,
+        };
+        let quanta: Vec<f64> = (1..25).map(|n| 40.0 * f64::from(n)).collect();
+        let roots: Vec<f64> = quanta.iter().map(|quanta| quanta.sqrt()).collect();
+        let kinds = [
+            noise(&quanta, &roots),
+            noise(&[-3.0, -3.0, 1.0, 1.0, 9.0], &[0.5, 2.0, 0.1, 4.0, 3.0]),
+            noise(&[0.0, 1.0, 2.0], &[3.0, 2.0, 1.0]),
+            noise(&[60_000.0, 60_000.001, 60_000.002], &[1e-3, 3e-3, 2e-3]),
+            noise(&[5.0, 5.0], &[2.0, 1.0]),
+            noise(&[0.0, 10.0], &[1.0, 9.0]),
+        ];
+        for (n, noise) in kinds.iter().enumerate() {
+            let bound = noise.variance_bound();
+            let (first, last) = (noise.values[0], noise.values[noise.values.len() - 1]);
+            for step in -300..=1300 {
+                let value = (first + (last - first + 1e-3) * f64::from(step) / 1000.0) as f32;
+                let [variance, least] = [noise.sigma(f64::from(value)).powi(2), f64::from(bound.at(value))];
+                assert!(least <= variance, "{n}: {least} at {value}, where the variance is {variance}");
+                let is_between = f64::from(value) > first && f64::from(value) < last;
+                assert!(n > 0 || !is_between || least > 0.8 * variance, "{least} of {variance} at {value}");
+            }
+        }
+    }
 }

@@ -94,7 +94,7 @@ fn ramp_error(curve: &[(f64, f64)], shift_px: f64, width_px: f64) -> Option<f64>
         let open = share * share * (3.0 - 2.0 * share);
         let basis = [1.0, open, open * depth / 10.0];
         for i in 0..3 {
-            for j in 0..3 {
+            for j in i..3 {
                 normal[i][j] += basis[i] * basis[j];
             }
             normal[i][3] += basis[i] * value;
@@ -104,6 +104,11 @@ fn ramp_error(curve: &[(f64, f64)], shift_px: f64, width_px: f64) -> Option<f64>
     }
     if count < 12 {
         return None;
+    }
+    for i in 1..3 {
+        for j in 0..i {
+            normal[i][j] = normal[j][i];
+        }
     }
     let fit = solved(normal, 3)?;
     // Σ(y − Xb)² = Σy² − b·Xᵀy.

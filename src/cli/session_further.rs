@@ -89,7 +89,11 @@ impl Further {
         })?;
         let port = |answer: &str| match answer {
             NONE => Ok(None),
-            number => number.parse().map(Some).map_err(|_| format!("'{number}' is no TCP port, 1 to 65535")),
+            // 0 is whichever is free: nobody knows where to connect.
+            number => match number.parse() {
+                Ok(port @ 1..) => Ok(Some(port)),
+                _ => Err(format!("'{number}' is no TCP port, 1 to 65535")),
+            },
         };
         let words = "TCP port on which frames may be sent here over DICOM (11112), or none";
         let dicom: Option<u16> = asker.ask(&question("--dicom", &args.dicom, words, NONE), &port)?;
@@ -300,6 +304,8 @@ mod tests {
         let mut cases = 0;
         for (option, args) in [
             ("--more", FurtherArgs { more: given("detectors"), ..FurtherArgs::default() }),
+            ("--dicom", FurtherArgs { dicom: given("0"), ..FurtherArgs::default() }),
+            ("--igtl", FurtherArgs { igtl: given("0"), ..FurtherArgs::default() }),
             ("--sub-folders", FurtherArgs { sub_folders: given("1"), ..FurtherArgs::default() }),
             ("--video", FurtherArgs { video: given("/dev/nothing"), ..FurtherArgs::default() }),
             ("--landmarks", FurtherArgs { landmarks: given("nowhere.fcsv"), ..FurtherArgs::default() }),
@@ -312,6 +318,6 @@ mod tests {
             assert!(refused.starts_with(&format!("{option} ")), "{option}: {refused}");
             cases += 1;
         }
-        assert_eq!(cases, 8);
+        assert_eq!(cases, 10);
     }
 }

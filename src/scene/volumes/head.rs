@@ -44,8 +44,7 @@ impl VolumeHead {
     /// Adds a remark where voxels have a size that is hardly in millimetres.
     pub fn doubt_spacing(&mut self) {
         let spacing_mm = self.spacing_mm();
-        let (low, high) = PLAUSIBLE_SPACING_MM;
-        if !spacing_mm.iter().all(|mm| (low..=high).contains(mm)) {
+        if !spacing_mm.into_iter().all(is_plausible) {
             let words = format!("voxels of {spacing_mm:?} mm: metres or microns taken for millimetres?");
             self.remarks.push((Some("voxel size".to_owned()), words));
         }
@@ -145,8 +144,12 @@ impl VoxelSummary {
 /// What a voxel takes once it is rendered: density, class, whether it is known, and the kind of its cell.
 const BYTES_PER_VOXEL: u64 = 7;
 
-/// Voxel sizes outside this are probably metres or microns taken for millimetres.
-const PLAUSIBLE_SPACING_MM: (f64, f64) = (0.005, 20.0);
+/// Voxel sizes outside this are probably metres or microns taken for millimetres. The ends belong to it, in single precision too.
+const PLAUSIBLE_SPACING_MM: (f64, f64) = (0.005 * 0.999_9, 20.0 * 1.000_1);
+
+fn is_plausible(spacing_mm: f64) -> bool {
+    (PLAUSIBLE_SPACING_MM.0..=PLAUSIBLE_SPACING_MM.1).contains(&spacing_mm)
+}
 
 /// Refuses a volume that is empty, or larger than limits and memory allow.
 ///
@@ -181,4 +184,19 @@ pub(super) fn check_place(lps_from_voxel: &DAffine3, by: &str) -> Result<(), Str
         return Err(format!("{by} is singular: its axes have no volume"));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slices_of_two_centimetres_in_single_precision_are_millimetres() {
+        for spacing_mm in [20.0, 20.000_000_8, 0.005, 0.004_999_999_9, 1.0] {
+            assert!(is_plausible(spacing_mm), "{spacing_mm}");
+        }
+        for spacing_mm in [20.1, 0.0049, 0.0, f64::NAN, f64::INFINITY] {
+            assert!(!is_plausible(spacing_mm), "{spacing_mm}");
+        }
+    }
 }

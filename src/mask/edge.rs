@@ -39,9 +39,9 @@ pub(super) struct Judged {
 
 /// The edge moved to where the signal rises most; looks `search_px` to both sides.
 fn settled(signal: &Signal, mut edge: Edge, shape: &FieldShape, search_px: f64) -> Option<(Edge, Profiles)> {
-    let mut profiles = Profiles::new(signal, &edge, shape);
     let mut search = search_px.ceil() as isize;
     for _ in 0..3 {
+        let profiles = Profiles::new(signal, &edge, shape, search + STEP_WINDOW_PX);
         let steps: Vec<([f64; 3], f64, f64)> = (0..profiles.stations.len())
             .filter_map(|k| {
                 let (offset, rise) = steepest(&profiles, k, search)?;
@@ -67,10 +67,9 @@ fn settled(signal: &Signal, mut edge: Edge, shape: &FieldShape, search_px: f64) 
             return None;
         }
         edge = moved;
-        profiles = Profiles::new(signal, &edge, shape);
         search = (search / 2).max(4);
     }
-    Some((edge, profiles))
+    Some((edge, Profiles::new(signal, &edge, shape, REACH_PX)))
 }
 
 /// The offset of station `k` where the means of two neighbouring windows differ most, and that rise.
@@ -107,7 +106,7 @@ pub(super) fn judge(signal: &Signal, cells: &Cells, edge: Edge, terms: &Terms) -
     let (edge, profiles) = if terms.search_px > 0.0 {
         settled(signal, edge, terms.shape, terms.search_px).ok_or(Refusal::NoStep)?
     } else {
-        (edge, Profiles::new(signal, &edge, terms.shape))
+        (edge, Profiles::new(signal, &edge, terms.shape, REACH_PX))
     };
     if profiles.stations.len() < 4 {
         return Err(Refusal::NotSeen);

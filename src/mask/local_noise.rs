@@ -66,8 +66,13 @@ fn middle_of_all(ring: [f32; 16]) -> f32 {
         low = low.max(if before <= 7 { word } else { i32::MIN });
         high = high.max(if before <= 8 { word } else { i32::MIN });
     }
-    let value = |word: i32| f32::from_bits(if word >= 0 { word as u32 } else { !(word as u32 ^ 1 << 31) });
+    let value = |word: i32| out_of_order(word as u32 ^ 1 << 31);
     0.5 * (value(low) + value(high))
+}
+
+/// The number of which [`in_order`] makes this word.
+fn out_of_order(word: u32) -> f32 {
+    f32::from_bits(if word >> 31 == 1 { word ^ 1 << 31 } else { !word })
 }
 
 /// A line, flat beyond two values, that lies nowhere above the variance of a [`LocalNoise`].
@@ -115,7 +120,7 @@ impl LocalNoise {
         // An odd stride looks at all columns of a pattern of two.
         let stride = ((width * height) as f64 / SAMPLES).sqrt().max(1.0) as usize | 1;
         let rows: Vec<usize> = (0..height).step_by(stride).collect();
-        let mut samples: Vec<[f32; 3]> = rows
+        let samples: Vec<[f32; 3]> = rows
             .par_iter()
             .flat_map_iter(|&row| {
                 (0..width).step_by(stride).filter(move |column| usable.pixels[row * width + column]).filter_map(move |column| {
@@ -128,20 +133,26 @@ impl LocalNoise {
         if samples.len() < 32 * BINS {
             return None;
         }
-        samples.par_sort_by(|a, b| a[0].total_cmp(&b[0]));
+        // By what is around them, then as they come: words are put in order sooner than samples.
+        let word = |(n, sample): (usize, &[f32; 3])| u64::from(in_order(sample[0])) << 32 | n as u64;
+        let mut order: Vec<u64> = samples.iter().enumerate().map(word).collect();
+        order.par_sort_unstable();
+        let samples: Vec<[f32; 3]> = order.into_iter().map(|word| samples[word as u32 as usize]).collect();
         let range = f64::from(samples[samples.len() - 1][0] - samples[0][0]);
-        let step = smallest_step(samples.iter().map(|sample| sample[2]).collect());
+        let step = smallest_step(samples.iter().map(|sample| sample[2]));
         let floor = (0.5 * step).max(1e-5 * range);
-        let (mut values, mut sigmas) = (Vec::new(), Vec::new());
-        for bin in samples.chunks(samples.len().div_ceil(BINS)) {
-            let mut sizes: Vec<f64> = bin.iter().map(|sample| f64::from(sample[1])).collect();
-            sizes.sort_unstable_by(f64::total_cmp);
+        let of_bin = |bin: &[[f32; 3]]| {
+            // Sizes are not negative: their bits are in their order.
+            let mut sizes: Vec<u32> = bin.iter().map(|sample| sample[1].to_bits()).collect();
+            sizes.sort_unstable();
+            let size = |bits: u32| f64::from(f32::from_bits(bits));
             let counted = &sizes[..(COUNTED * sizes.len() as f64).ceil() as usize];
             // Few quanta are few different sizes, of which the median is one; the mean of many edges is too large, which does no harm.
-            let of_mean = SIGMA_PER_MEAN * counted.iter().sum::<f64>() / counted.len() as f64;
-            values.push(bin.iter().map(|sample| f64::from(sample[0])).sum::<f64>() / bin.len() as f64);
-            sigmas.push(of_mean.max(SIGMA_PER_MEDIAN * sizes[sizes.len() / 2]).max(floor));
-        }
+            let of_mean = SIGMA_PER_MEAN * counted.iter().map(|bits| size(*bits)).sum::<f64>() / counted.len() as f64;
+            let value = bin.iter().map(|sample| f64::from(sample[0])).sum::<f64>() / bin.len() as f64;
+            (value, of_mean.max(SIGMA_PER_MEDIAN * size(sizes[sizes.len() / 2])).max(floor))
+        };
+        let (values, mut sigmas): (Vec<f64>, Vec<f64>) = samples.par_chunks(samples.len().div_ceil(BINS)).map(of_bin).unzip();
         // Where values are cut off they scatter less than their noise.
         let most = sigmas.iter().copied().fold(floor, f64::max);
         sigmas.iter_mut().filter(|sigma| **sigma <= floor).for_each(|sigma| *sigma = most);
@@ -172,9 +183,11 @@ impl LocalNoise {
 }
 
 /// The smallest difference of two values.
-fn smallest_step(mut values: Vec<f32>) -> f64 {
-    values.sort_unstable_by(f32::total_cmp);
-    let steps = values.windows(2).map(|pair| f64::from(pair[1]) - f64::from(pair[0])).filter(|step| *step > 0.0);
+fn smallest_step(values: impl Iterator<Item = f32>) -> f64 {
+    let mut words: Vec<u32> = values.map(in_order).collect();
+    words.par_sort_unstable();
+    let value = |word: u32| f64::from(out_of_order(word));
+    let steps = words.windows(2).map(|pair| value(pair[1]) - value(pair[0])).filter(|step| *step > 0.0);
     let step = steps.fold(f64::INFINITY, f64::min);
     if step.is_finite() { step } else { 0.0 }
 }

@@ -32,7 +32,9 @@ pub(super) struct Profiles {
     pub stations: Vec<Station>,
     /// Distance between neighbouring stations.
     pub spacing_px: f64,
-    /// Running sums of signals and of how many lie in the frame, one more than `LENGTH` each station.
+    /// Offsets of each station.
+    length: usize,
+    /// Running sums of signals and of how many lie in the frame, one more than `length` each station.
     sums: Vec<[f64; 2]>,
 }
 
@@ -130,41 +132,38 @@ impl Edge {
 }
 
 impl Profiles {
-    /// Across `edge`, where it runs inside `shape`.
-    pub fn new(signal: &Signal, edge: &Edge, shape: &FieldShape) -> Self {
+    /// Across `edge`, where it runs inside `shape`; nothing is known further in than `inwards_px`.
+    pub fn new(signal: &Signal, edge: &Edge, shape: &FieldShape, inwards_px: isize) -> Self {
         let (width, height) = (signal.pixels.width, signal.pixels.height);
         let (stations, spacing_px) = edge.stations(width, height, shape);
         let samples = (spacing_px as usize).clamp(1, MOST_SAMPLES);
-        let mut sums = Vec::with_capacity(stations.len() * (LENGTH + 1));
+        let length = (REACH_PX + inwards_px.clamp(0, REACH_PX)) as usize + 1;
+        let mut sums = Vec::with_capacity(stations.len() * (length + 1));
         for station in &stations {
             let along = station.inward.perp() * (spacing_px / samples as f64);
+            let mut of_station = [[0.0, 0.0]; LENGTH];
+            for sample in 0..samples {
+                let shift = along * (sample as f64 - (samples as f64 - 1.0) / 2.0);
+                add(&mut of_station[..length], signal, station, shift);
+            }
             let mut running = [0.0, 0.0];
             sums.push(running);
-            for offset in -REACH_PX..=REACH_PX {
-                let middle = station.at + station.inward * offset as f64;
-                let (mut sum, mut count) = (0.0, 0u32);
-                for sample in 0..samples {
-                    let x = middle + along * (sample as f64 - (samples as f64 - 1.0) / 2.0) + 0.5;
-                    if x.x >= 0.0 && x.y >= 0.0 && x.x < width as f64 && x.y < height as f64 {
-                        sum += f64::from(signal.at(x.y as usize * width + x.x as usize));
-                        count += 1;
-                    }
-                }
+            for [sum, count] in &of_station[..length] {
                 // Half of the samples at the border still are a profile.
-                if count as usize * 2 >= samples && count > 0 {
-                    running[0] += sum / f64::from(count);
+                if count * 2.0 >= samples as f64 && *count > 0.0 {
+                    running[0] += sum / count;
                     running[1] += 1.0;
                 }
                 sums.push(running);
             }
         }
-        Self { stations, spacing_px, sums }
+        Self { stations, spacing_px, length, sums }
     }
 
-    /// Mean signal of station `k` over offsets `from..to` (clipped to the reach and to the frame), with the number of offsets.
+    /// Mean signal of station `k` over offsets `from..to` (clipped to what is known and to the frame), with the number of offsets.
     pub fn mean(&self, k: usize, from: isize, to: isize) -> Option<(f64, usize)> {
-        let index = |offset: isize| (offset.clamp(-REACH_PX, REACH_PX + 1) + REACH_PX) as usize;
-        let line = &self.sums[k * (LENGTH + 1)..(k + 1) * (LENGTH + 1)];
+        let index = |offset: isize| ((offset.max(-REACH_PX) + REACH_PX) as usize).min(self.length);
+        let line = &self.sums[k * (self.length + 1)..(k + 1) * (self.length + 1)];
         let (first, last) = (index(from), index(to));
         if last <= first {
             return None;
@@ -176,5 +175,32 @@ impl Profiles {
     /// The outermost offset of station `k` that lies in the frame.
     pub fn outermost(&self, k: usize) -> isize {
         (-REACH_PX..=0).find(|&offset| self.mean(k, offset, offset + 1).is_some()).unwrap_or(0)
+    }
+}
+
+/// Adds to `sums` at each offset of a station, from the outermost inwards, the signal at `shift` from there and 1, where that lies in the frame.
+fn add(sums: &mut [[f64; 2]], signal: &Signal, station: &Station, shift: DVec2) {
+    let (width, height) = (signal.pixels.width, signal.pixels.height);
+    let place = |n: usize| station.at + station.inward * (n as f64 - REACH_PX as f64) + shift + 0.5;
+    let is_inside = |x: DVec2| x.x >= 0.0 && x.y >= 0.0 && x.x < width as f64 && x.y < height as f64;
+    if is_inside(place(0)) && is_inside(place(LENGTH - 1)) {
+        // All that lies between lies in the frame too. Sides are below 2³¹.
+        let (mut columns, mut rows) = ([0i32; LENGTH], [0i32; LENGTH]);
+        for (n, (column, row)) in columns.iter_mut().zip(&mut rows).enumerate() {
+            let x = place(n);
+            (*column, *row) = (x.x as i32, x.y as i32);
+        }
+        for (sum, (column, row)) in sums.iter_mut().zip(columns.into_iter().zip(rows)) {
+            sum[0] += f64::from(signal.at(row as usize * width + column as usize));
+            sum[1] += 1.0;
+        }
+        return;
+    }
+    for (n, sum) in sums.iter_mut().enumerate() {
+        let x = place(n);
+        if is_inside(x) {
+            sum[0] += f64::from(signal.at(x.y as usize * width + x.x as usize));
+            sum[1] += 1.0;
+        }
     }
 }

@@ -1,9 +1,13 @@
 //! The pixel values as a signal that grows with the X-rays that arrived, whatever the frame's domain.
 
+use rayon::prelude::*;
+
 use crate::image::Image;
 
 /// Values looked at to choose the scale.
 const SAMPLES: usize = 8192;
+/// Pixels that a core takes at least.
+const FEWEST_PX: usize = 1 << 14;
 /// A frame whose attenuations span at most this much is taken to be in nepers.
 const WIDEST_NEPERS: f64 = 20.0;
 
@@ -25,13 +29,25 @@ enum Scale {
     },
 }
 
+impl Scale {
+    /// The signal of a value; NaN stays NaN.
+    fn signal(self, value: f32) -> f32 {
+        match self {
+            Scale::Value => value,
+            Scale::Negated { top } => top - value,
+            // A few pixels far above the open beam would otherwise outweigh all others; `clamp` keeps NaN, `min` would not.
+            Scale::Nepers { least } => (least - value).exp().clamp(0.0, 2.0),
+            Scale::Unlike { paint } => f32::from(u8::from(value.to_bits() != paint)),
+        }
+    }
+}
+
 /// A frame seen as signal.
-#[derive(Clone, Copy)]
 pub(super) struct Signal<'a> {
     pub pixels: &'a Image<f32>,
+    /// The finite signals of all pixels: each is looked at many times.
+    values: Vec<f32>,
     scale: Scale,
-    /// Signal of a pixel that holds no number.
-    pub of_nan: f32,
     /// What is typical of the brightest and of the darkest pixels.
     pub brightest: f32,
     pub darkest: f32,
@@ -66,44 +82,34 @@ impl<'a> Signal<'a> {
         };
         let of_nan = if matches!(scale, Scale::Nepers { .. }) { 0.0 } else { darkest };
         let resolution = f32::from(u8::from(seen.iter().all(|value| value.fract() == 0.0)));
-        Some(Self { pixels, scale, of_nan, brightest, darkest, resolution })
+        let values = values_of(pixels, |value| scale.signal(value), of_nan);
+        Some(Self { pixels, values, scale, brightest, darkest, resolution })
     }
 
     /// The same frame as 0 where the value is `paint` and 1 elsewhere.
     pub fn unlike(&self, paint: f32) -> Self {
-        Self {
-            scale: Scale::Unlike { paint: paint.to_bits() },
-            of_nan: 1.0,
-            brightest: 1.0,
-            darkest: 0.0,
-            resolution: 0.0,
-            ..*self
-        }
+        let scale = Scale::Unlike { paint: paint.to_bits() };
+        let values = values_of(self.pixels, |value| scale.signal(value), 1.0);
+        Self { pixels: self.pixels, values, scale, brightest: 1.0, darkest: 0.0, resolution: 0.0 }
     }
 
     /// Whether the value is as bright as the open beam.
     pub fn is_bright(&self, value: f32) -> bool {
-        self.raw(value) >= self.brightest - 0.02 * (self.brightest - self.darkest)
+        self.scale.signal(value) >= self.brightest - 0.02 * (self.brightest - self.darkest)
     }
 
     pub fn is_paint(&self) -> bool {
         matches!(self.scale, Scale::Unlike { .. })
     }
 
-    /// The signal of a value; NaN stays NaN.
-    fn raw(&self, value: f32) -> f32 {
-        match self.scale {
-            Scale::Value => value,
-            Scale::Negated { top } => top - value,
-            // A few pixels far above the open beam would otherwise outweigh all others; `clamp` keeps NaN, `min` would not.
-            Scale::Nepers { least } => (least - value).exp().clamp(0.0, 2.0),
-            Scale::Unlike { paint } => f32::from(u8::from(value.to_bits() != paint)),
-        }
-    }
-
     /// The finite signal at a pixel's index.
     pub fn at(&self, index: usize) -> f32 {
-        let signal = self.raw(self.pixels.pixels[index]);
-        if signal.is_finite() { signal } else { self.of_nan }
+        self.values[index]
     }
+}
+
+/// Signals of all pixels, `of_nan` where there is none.
+fn values_of(pixels: &Image<f32>, signal: impl Fn(f32) -> f32 + Sync, of_nan: f32) -> Vec<f32> {
+    let finite = |value: &f32| Some(signal(*value)).filter(|signal| signal.is_finite()).unwrap_or(of_nan);
+    pixels.pixels.par_iter().with_min_len(FEWEST_PX).map(finite).collect()
 }

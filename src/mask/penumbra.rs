@@ -105,10 +105,8 @@ fn ramp_error(curve: &[(f64, f64)], shift_px: f64, width_px: f64) -> Option<f64>
     if count < 12 {
         return None;
     }
-    for i in 1..3 {
-        for j in 0..i {
-            normal[i][j] = normal[j][i];
-        }
+    for (low, high) in [([1, 0], [0, 1]), ([2, 0], [0, 2]), ([2, 1], [1, 2])] {
+        normal[low[0]][low[1]] = normal[high[0]][high[1]];
     }
     let fit = solved(normal, 3)?;
     // Σ(y − Xb)² = Σy² − b·Xᵀy.

@@ -130,7 +130,9 @@ pub fn run(args: &GrabArgs, reporter: &Reporter) -> Result<u8, GrabCommandError>
             (false, Grabbed::Restless { .. } | Grabbed::Ticking { .. } | Grabbed::Lost { .. } | Grabbed::Unwritten { .. }) => {
                 reporter.warn("video", &event)
             }
-            (false, Grabbed::Opened { .. } | Grabbed::Back | Grabbed::Ended { .. }) => reporter.note(&event),
+            (false, Grabbed::Opened { .. } | Grabbed::First { .. } | Grabbed::Back | Grabbed::Ended { .. }) => {
+                reporter.note(&event)
+            }
         }
     })?;
     Ok(u8::from(none && !args.attended))

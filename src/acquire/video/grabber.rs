@@ -57,6 +57,11 @@ pub enum Grabbed {
         /// Seconds from the start of the video at which it began to stand.
         at_s: f64,
     },
+    /// What stands there was there at the beginning, and is not taken.
+    First {
+        /// Seconds from the start of the video at which it began to stand.
+        at_s: f64,
+    },
     /// Nothing stands still.
     Restless {
         /// For so long.
@@ -105,6 +110,11 @@ impl std::fmt::Display for Grabbed {
             Self::Picture { size_px: [columns, rows], at_s } => {
                 write!(f, "picture of {columns} x {rows}, standing since {at_s:.2} s")
             }
+            Self::First { at_s } => write!(
+                f,
+                "what stands in the video since {at_s:.2} s was there at the start, and is not taken: `grab --include-first` and a \
+                 session's --include-existing take it"
+            ),
             Self::Ticking { at_px: [column, row], change } => write!(
                 f,
                 "the video changes again and again around column {column}, row {row} alone, by {change:.1} grey values: that is taken for a \
@@ -297,6 +307,7 @@ impl Grabbing<'_> {
     fn told(&mut self, noted: Noted) {
         match noted {
             Noted::Nothing => {}
+            Noted::First { since_s } => (self.tell)(Grabbed::First { at_s: since_s }),
             Noted::Restless { for_s, at_px, change, limit } => (self.tell)(Grabbed::Restless { for_s, at_px, change, limit }),
             Noted::Ticking { at_px, change } => (self.tell)(Grabbed::Ticking { at_px, change }),
             Noted::Still(still) => {

@@ -155,7 +155,7 @@ fn sighting(event: &Grabbed) -> Option<Sighting> {
         Grabbed::Restless { .. } | Grabbed::Ticking { .. } => {
             Some(Sighting::Said { kind: "video never still", words: event.to_string() })
         }
-        Grabbed::Opened { .. } | Grabbed::Back | Grabbed::Ended { .. } => {
+        Grabbed::Opened { .. } | Grabbed::First { .. } | Grabbed::Back | Grabbed::Ended { .. } => {
             Some(Sighting::Said { kind: "video", words: event.to_string() })
         }
     }

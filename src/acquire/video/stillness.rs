@@ -28,6 +28,8 @@ const NEW_AFTER_CHANGE: f64 = 0.25;
 const CLEAR_CHANGE: f64 = 6.0;
 /// A picture of so few grey values is an empty screen.
 const EMPTY: f32 = 8.0;
+/// What began to stand later than this after the beginning was not there before: a device may give some pictures before those it has.
+const FIRST_WITHIN_S: f64 = 1.0;
 /// A video that has not stood still for so long is said to.
 const RESTLESS_S: f64 = 20.0;
 /// A new picture that differs in no more of its blocks than this is perhaps a clock …
@@ -69,6 +71,8 @@ pub(super) enum Noted {
     Nothing,
     /// A new picture stands still.
     Still(Still),
+    /// One stands since `since_s` that was there at the beginning, and is not taken.
+    First { since_s: f64 },
     /// None has for `for_s`: the block at `at_px` of the video changed most often, by up to `change`, where `limit` would be still.
     Restless { for_s: f64, at_px: [u32; 2], change: f64, limit: f64 },
     /// New pictures follow each other that differ in few blocks alone, most in that at `at_px`: a clock, a cursor.
@@ -81,6 +85,7 @@ pub(super) struct Stillness {
     leftover: Leftover,
     /// The first picture that stands is known already.
     knows_first: bool,
+    begun_s: f64,
     blocks: Blocks,
     previous: Image<u8>,
     run: Run,
@@ -107,6 +112,7 @@ impl Stillness {
             settings: settings.clone(),
             leftover: Leftover::EACH,
             knows_first: skip_first,
+            begun_s: 0.0,
             blocks: Blocks::default(),
             run: Run::of(&empty, 0.0),
             previous: empty,
@@ -160,7 +166,7 @@ impl Stillness {
         self.blocks = Blocks::of(&self.settings, [picture.width, picture.height]);
         self.restless = vec![(0, 0.0); self.blocks.count()];
         self.recent.clear();
-        (self.stood_at_s, self.noise) = (at_s, f64::INFINITY);
+        (self.stood_at_s, self.begun_s, self.noise) = (at_s, at_s, f64::INFINITY);
         // What another mode shows first is a picture like any other.
         self.knows_first &= self.previous.pixels.is_empty();
         (self.known, self.broken_by) = (None, f64::INFINITY);
@@ -215,8 +221,10 @@ impl Stillness {
         }
         self.broken_by = 0.0;
         self.known = Some(mean.clone());
-        if std::mem::take(&mut self.knows_first) {
-            return Noted::Nothing;
+        // Before it there may have been a screen whose noise let nothing stand.
+        let first_until_s = self.begun_s + FIRST_WITHIN_S.max(2.0 * self.settings.still_s);
+        if std::mem::take(&mut self.knows_first) && run.since_s <= first_until_s {
+            return Noted::First { since_s: run.since_s };
         }
         if let Some(clock) = self.ticks_at(&new, at_s) {
             return clock;
@@ -294,7 +302,7 @@ mod tests {
             for _ in 0..*pictures {
                 exposure += u32::from(*moves);
                 match stillness.take(picture(exposure, *quantum, number, line), f64::from(number) * PERIOD_S) {
-                    Noted::Nothing => {}
+                    Noted::Nothing | Noted::First { .. } => {}
                     Noted::Still(found) => still.push(found.since_s),
                     Noted::Restless { at_px, .. } | Noted::Ticking { at_px, .. } => restless.push(at_px),
                 }
@@ -347,7 +355,7 @@ mod tests {
                     shown.pixels[row * SIZE[0] + 80..][..12].fill((number * 37 % 200) as u8);
                 }
                 match stillness.take(shown, f64::from(number) * PERIOD_S) {
-                    Noted::Nothing => {}
+                    Noted::Nothing | Noted::First { .. } => {}
                     Noted::Still(_) => still += 1,
                     Noted::Restless { at_px, .. } | Noted::Ticking { at_px, .. } => restless.push(at_px),
                 }
@@ -385,7 +393,7 @@ mod tests {
         let (mut since, mut restless) = (Vec::new(), 0);
         for number in 0..pictures {
             match stillness.take(draw(number), f64::from(number) * PERIOD_S) {
-                Noted::Nothing => {}
+                Noted::Nothing | Noted::First { .. } => {}
                 Noted::Still(found) => since.push((found.since_s / PERIOD_S).round()),
                 Noted::Restless { .. } | Noted::Ticking { .. } => restless += 1,
             }
@@ -457,5 +465,22 @@ mod tests {
             _ => picture(1 + number / 110, 3.0, number, 2.0),
         });
         assert_eq!(found.len(), 2, "{found:?}");
+    }
+
+    /// The first radiograph behind a dark, noisy screen was taken for what had stood there, and nobody was told.
+    #[test]
+    fn what_came_after_the_beginning_is_a_picture_and_what_stood_there_is_said() {
+        let dark = |number| {
+            let mut line = Stream::new(3, number, 0, Purpose::QuantumNoise);
+            let pixels = (0..SIZE[0] * SIZE[1]).map(|_| (20.0 + 0.7 * line.normal()).round() as u8).collect();
+            Image { width: SIZE[0], height: SIZE[1], pixels }
+        };
+        let draw = |number: u32| if number < 150 { dark(number) } else { picture(number / 150, 3.0, number, 0.7) };
+        let (found, _) = since(450, true, draw);
+        assert!(found.len() == 2 && (150.0..165.0).contains(&found[0]), "{found:?}");
+        let mut stillness = Stillness::new(&VideoSettings::of("0"), true);
+        let first = |number: u32| stillness.take(picture(1, 3.0, number, 0.0), 7.0 + f64::from(number) * PERIOD_S);
+        let said: Vec<Noted> = (0..60).map(first).filter(|noted| !matches!(noted, Noted::Nothing)).collect();
+        assert!(matches!(said[..], [Noted::First { since_s }] if since_s < 7.5), "{said:?}");
     }
 }
